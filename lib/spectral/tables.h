@@ -1,0 +1,16 @@
+// Reading of the small CSV tables of luts/ that are not spectra.
+#pragma once
+
+#include <string>
+#include <string_view>
+#include <vector>
+
+#include "spectex/base.h"
+
+namespace spectex {
+
+/// Rows of RFC 4180 fields, the header first; empty lines are left out.
+/// @error input, naming `label` and the line.
+Result<std::vector<std::vector<std::string>>> parse_csv(std::string_view text, std::string_view label);
+
+}  // namespace spectex
