@@ -1,5 +1,8 @@
 #include <fmt/format.h>
 
+#include <map>
+#include <mutex>
+
 #include "spectex/spectral.h"
 #include "spectral/names.h"
 
@@ -51,7 +54,15 @@ Result<std::shared_ptr<const Observer>> find_observer(std::string_view name) {
     for (const auto& file : observer_files()) {
         bool match = wanted == folded_name(file.id);
         for (const auto& alias : file.aliases) match = match || wanted == alias;
-        if (match) return load(file);
+        if (!match) continue;
+        // Every Colorimetry asks for one: a table is parsed once.
+        static std::mutex mutex;
+        static std::map<std::string, std::shared_ptr<const Observer>> loaded;
+        const std::lock_guard lock(mutex);
+        if (const auto known = loaded.find(file.id); known != loaded.end()) return known->second;
+        auto observer = load(file);
+        if (observer) loaded[file.id] = *observer;
+        return observer;
     }
     return Error{ErrorKind::usage, fmt::format("observer '{}' is not known: expected cie1931, cie1964, cie2006-2 or cie2006-10",
                                                name)};

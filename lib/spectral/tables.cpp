@@ -16,7 +16,7 @@ namespace {
 
 namespace fs = std::filesystem;
 
-bool is_regular_file(const fs::path& path) {
+bool is_file(const fs::path& path) {
     std::error_code ignored;
     return fs::is_regular_file(path, ignored);
 }
@@ -24,14 +24,14 @@ bool is_regular_file(const fs::path& path) {
 /// share/spectex/luts beside the library or the binary that holds this code, when that file is there.
 fs::path installed_path(std::string_view lut) {
     Dl_info info{};
-    if (dladdr(reinterpret_cast<const void*>(&is_regular_file), &info) == 0 || info.dli_fname == nullptr) return {};
+    if (dladdr(reinterpret_cast<const void*>(&is_file), &info) == 0 || info.dli_fname == nullptr) return {};
     std::error_code failed;
     auto folder = fs::canonical(info.dli_fname, failed).parent_path();
     // lib/, lib64/ and Debian's lib/<triplet>/ lie at different depths below the prefix.
     for (int depth = 0; !failed && depth < 2 && folder.has_parent_path(); ++depth) {
         folder = folder.parent_path();
         const auto path = folder / "share" / "spectex" / "luts" / lut;
-        if (is_regular_file(path)) return path;
+        if (is_file(path)) return path;
     }
     return {};
 }
@@ -44,7 +44,7 @@ const EmbeddedLut* embedded(std::string_view path) {
 
 fs::path file_for(std::string_view path) {
     if (const char* folder = std::getenv("SPECTEX_LUTS"); folder != nullptr && *folder != '\0')
-        if (const auto file = fs::path(folder) / path; is_regular_file(file)) return file;
+        if (const auto file = fs::path(folder) / path; is_file(file)) return file;
     return installed_path(path);
 }
 
