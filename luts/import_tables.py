@@ -247,21 +247,23 @@ def import_reflectances(out):
     out.spectra("reflectances/koivisto_{grid}.csv", 400, 5, numbered(labels(data, "labels_koivisto")), table,
                 REFLECTANCE, "Natural colours, University of Eastern Finland; " + PTB + "sur_koivisto.mat", EXPAT,
                 f"stored 0-4096, divided by 4096; {int((table == 0).sum())} zeros and {int((table == 1).sum())} ones "
-                f"are the sensor's limits; " + bounds(table))
+                f"are the sensor's limits; noisy below 420 nm; " + bounds(table))
     data = psychtoolbox("sur_krinov")
     table = data["sur_krinov"]
     out.spectra("reflectances/krinov_{grid}.csv", 400, 10, labels(data, "labels_krinov"), table, REFLECTANCE,
                 "Krinov 1947; " + PTB + "sur_krinov.mat", EXPAT,
-                "the numbers in the labels are Krinov's own; " + bounds(table))
+                "the numbers in the labels are Krinov's own; kept as the package has them, though 095 at 620 nm (0.161 among "
+                "0.065 and 0.056) and 200 at 570 nm look mistyped and 250 jumps by 0.2 at 620 nm; " + bounds(table))
     table = cut(psychtoolbox("sur_nickerson")["sur_nickerson"], 380, 5, 400, 700)
     out.spectra("reflectances/nickerson_{grid}.csv", 400, 5, [f"{i:03d}" for i in range(1, table.shape[1] + 1)], table,
                 REFLECTANCE, "Nickerson, Munsell papers; " + PTB + "sur_nickerson.mat", EXPAT,
-                "zeros outside 400-700 nm in the package are no data and are cut; no labels; " + bounds(table))
-    table = cut(psychtoolbox("sur_macbeth")["sur_macbeth"], 380, 5, 385, 730)
-    out.spectra("reflectances/macbeth_{grid}.csv", 385, 5, [f"{i:02d} {n}" for i, n in enumerate(MACBETH, 1)], table,
+                "zeros outside 400-700 nm in the package are no data and are cut; no labels; 5 nm rows are the package's "
+                "interpolation of 10 nm measurements; " + bounds(table))
+    table = cut(psychtoolbox("sur_macbeth")["sur_macbeth"], 380, 5, 390, 730)
+    out.spectra("reflectances/macbeth_{grid}.csv", 390, 5, [f"{i:02d} {n}" for i, n in enumerate(MACBETH, 1)], table,
                 REFLECTANCE, "Macbeth ColorChecker; " + PTB + "sur_macbeth.mat", EXPAT,
-                "the package calls it not accurate; zeros at 380 and from 735 nm on are cut; patch names are the "
-                "chart's; " + bounds(table))
+                "the package calls it not accurate; zeros at 380 and from 735 nm on are cut, and 385 nm, which is "
+                "interpolated towards the zeros; patch names are the chart's; " + bounds(table))
     import numpy as np
     rows = colord("ref/CIE-TCS.sp")
     table = cut(np.array([[float(v) for v in row[1:]] for row in rows]).T, 360, 5, 380, 780)
@@ -319,6 +321,7 @@ def main():
         for step in (import_observers, import_daylight, import_illuminants, import_lamps, import_reflectances,
                      import_ciede2000):
             step(out)
+        rows = {path: row for path, row in rows.items() if (LUTS / path).exists()}
         rows.update(out.manifest)
     return write_manifest(rows)
 
