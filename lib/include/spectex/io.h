@@ -191,7 +191,8 @@ public:
 SPECTEX_API Result<FileKind> probe(const std::string& path);
 
 /// A destination written under a temporary name beside it; for text outputs (CSV, JSON, SVG, cube) and as the base of the
-/// image writers. Destroyed without commit(), it leaves nothing.
+/// image writers. Destroyed without commit(), it leaves nothing. A symbolic link is written through; an existing file keeps
+/// its permissions; folders and devices are refused.
 class SPECTEX_API OutputFile {
 public:
     ~OutputFile();
@@ -206,7 +207,8 @@ public:
 
 private:
     OutputFile() = default;
-    std::string temporary_, destination_;
+    std::string temporary_, destination_, target_;
+    int slot_ = -1;  ///< in the registry of temporary files
 };
 SPECTEX_API Status write_text_file(const std::string& destination, std::string_view text);
 /// Removes every uncommitted temporary file of this process; async-signal-safe, for a handler of SIGINT and SIGTERM.

@@ -1,0 +1,246 @@
+// Ordinary EXR images, read through OpenEXR itself: it keeps the file's channel names and order, and integer channels keep
+// their values.
+#include <OpenEXR/ImfChromaticitiesAttribute.h>
+#include <OpenEXR/ImfCompression.h>
+#include <OpenEXR/ImfDoubleAttribute.h>
+#include <OpenEXR/ImfFloatAttribute.h>
+#include <OpenEXR/ImfFloatVectorAttribute.h>
+#include <OpenEXR/ImfIntAttribute.h>
+#include <OpenEXR/ImfMatrixAttribute.h>
+#include <OpenEXR/ImfPartType.h>
+#include <OpenEXR/ImfStandardAttributes.h>
+#include <OpenEXR/ImfStringAttribute.h>
+#include <OpenEXR/ImfTileDescription.h>
+
+#include <algorithm>
+#include <limits>
+#include <set>
+
+#include "io/exr_input.h"
+
+namespace spectex::io {
+namespace {
+
+const std::set<std::string, std::less<>> structural_attributes{
+    "channels",          "compression",        "dataWindow", "displayWindow", "lineOrder", "pixelAspectRatio",
+    "screenWindowWidth", "screenWindowCenter", "tiles",      "type",          "name",      "version",
+    "chunkCount",        "maxSamplesPerPixel", "preview",    "multiView",     "Orientation",
+    "dwaCompressionLevel"};
+
+int block_rows(Imf::Compression c) {
+    switch (c) {
+        case Imf::ZIP_COMPRESSION:
+        case Imf::PXR24_COMPRESSION: return 16;
+        case Imf::PIZ_COMPRESSION:
+        case Imf::B44_COMPRESSION:
+        case Imf::B44A_COMPRESSION:
+        case Imf::DWAA_COMPRESSION: return 32;
+        case Imf::DWAB_COMPRESSION: return 256;
+        default: return 1;
+    }
+}
+
+std::int64_t imf_bytes(Imf::PixelType type) { return type == Imf::HALF ? 2 : 4; }
+
+}  // namespace
+
+void read_exr_attributes(const Imf::Header& header, Attributes& attributes) {
+    const auto add = [&](const std::string& name, AttributeValue value) {
+        if (attributes.size() < max_attributes) attributes.emplace(name, std::move(value));
+    };
+    for (auto it = header.begin(); it != header.end(); ++it) {
+        const std::string name = it.name();
+        if (structural_attributes.contains(name) || name.size() > max_attribute_name) continue;
+        const Imf::Attribute& a = it.attribute();
+        if (const auto* s = dynamic_cast<const Imf::StringAttribute*>(&a)) {
+            if (s->value().size() <= max_attribute_bytes) add(name, s->value());
+        } else if (const auto* i = dynamic_cast<const Imf::IntAttribute*>(&a)) {
+            add(name, std::int32_t{i->value()});
+        } else if (const auto* f = dynamic_cast<const Imf::FloatAttribute*>(&a)) {
+            add(name, f->value());
+        } else if (const auto* d = dynamic_cast<const Imf::DoubleAttribute*>(&a)) {
+            add(name, d->value());
+        } else if (const auto* v = dynamic_cast<const Imf::FloatVectorAttribute*>(&a)) {
+            if (v->value().size() * sizeof(float) <= max_attribute_bytes) add(name, v->value());
+        } else if (const auto* c = dynamic_cast<const Imf::ChromaticitiesAttribute*>(&a)) {
+            const Imf::Chromaticities& x = c->value();
+            add(name, std::vector<float>{x.red.x, x.red.y, x.green.x, x.green.y, x.blue.x, x.blue.y, x.white.x, x.white.y});
+        } else if (const auto* m = dynamic_cast<const Imf::M44fAttribute*>(&a)) {
+            if (name == "worldToCamera" || name == "worldToNDC")
+                add(name, std::vector<float>(&m->value()[0][0], &m->value()[0][0] + 16));
+        }
+    }
+}
+
+Imf::Slice exr_slice(Imf::PixelType type, std::byte* base, std::size_t x_stride, std::size_t y_stride,
+                     const Geometry& geometry, int y) {
+    const auto origin = reinterpret_cast<std::uintptr_t>(base) -
+                        static_cast<std::uintptr_t>(static_cast<std::intptr_t>(geometry.x)) * x_stride -
+                        static_cast<std::uintptr_t>(static_cast<std::intptr_t>(geometry.y) + y) * y_stride;
+    return {type, reinterpret_cast<char*>(origin), x_stride, y_stride};
+}
+
+int rows_per_call(int block, int height) {
+    const int rows = (std::max(64, block) + block - 1) / block * block;
+    return std::max(1, std::min(rows, height));
+}
+
+Result<std::unique_ptr<ExrInput>> ExrInput::open(const std::string& path, int threads) {
+    using Out = Result<std::unique_ptr<ExrInput>>;
+    return guarded(ErrorKind::input, path, [&]() -> Out {
+        const int count = prepare_threads(threads);
+        auto self = std::make_unique<ExrInput>();
+        self->path_ = path;
+        // Without a rebuilt offset table an unfinished file is an error rather than a picture with holes.
+        self->file_ = std::make_unique<Imf::MultiPartInputFile>(path.c_str(), count > 1 ? count : 0, false);
+        self->inputs_.resize(static_cast<std::size_t>(self->file_->parts()));
+        return self;
+    });
+}
+
+Result<ExrPartInfo> ExrInput::describe(int index, const Limits& limits) const {
+    const Imf::Header& h = header(index);
+    ExrPartInfo info;
+    info.deep = h.hasType() && Imf::isDeepData(h.type());
+    if (info.deep) return input_error(path_, "holds deep data, which has no single colour per pixel");
+    const Imath::Box2i& data = h.dataWindow();
+    const Imath::Box2i& display = h.displayWindow();
+    const auto extent = [](int low, int high) { return std::int64_t{high} - low + 1; };
+    const std::int64_t width = extent(data.min.x, data.max.x), height = extent(data.min.y, data.max.y);
+    std::int64_t channels = 0;
+    for (auto c = h.channels().begin(); c != h.channels().end(); ++c) {
+        ++channels;
+        info.pixel_bytes += imf_bytes(c.channel().type);
+        if (c.channel().xSampling != 1 || c.channel().ySampling != 1)
+            return input_error(path_, fmt::format("channel '{}' is stored at a lower resolution ({} x {}), which is not "
+                                                  "supported", c.name(), c.channel().xSampling, c.channel().ySampling));
+    }
+    if (auto ok = check_limits(path_, limits, width, height, channels, info.pixel_bytes); !ok) return ok.error();
+    Geometry& g = info.geometry;
+    g.width = static_cast<int>(width);
+    g.height = static_cast<int>(height);
+    g.x = data.min.x;
+    g.y = data.min.y;
+    g.full_x = display.min.x;
+    g.full_y = display.min.y;
+    constexpr std::int64_t most = std::numeric_limits<int>::max();
+    g.full_width = static_cast<int>(std::clamp<std::int64_t>(extent(display.min.x, display.max.x), 0, most));
+    g.full_height = static_cast<int>(std::clamp<std::int64_t>(extent(display.min.y, display.max.y), 0, most));
+    g.pixel_aspect = static_cast<double>(h.pixelAspectRatio());
+    if (const auto* o = h.findTypedAttribute<Imf::IntAttribute>("Orientation"))
+        if (o->value() >= 1 && o->value() <= 8) g.orientation = o->value();
+    info.block_rows = block_rows(h.compression());
+    if (h.hasTileDescription()) {
+        const Imf::TileDescription& t = h.tileDescription();
+        const std::int64_t tile_bytes = std::int64_t{t.xSize} * t.ySize;
+        if (t.xSize < 1 || t.ySize < 1 || tile_bytes > limits.max_row_bytes / std::max<std::int64_t>(1, info.pixel_bytes))
+            return input_error(path_, fmt::format("declares tiles of {} x {} pixels; the limit is {} bytes a tile", t.xSize,
+                                                  t.ySize, limits.max_row_bytes));
+        // A row of tiles is held as a whole; a tile may be higher than the image.
+        const std::int64_t rows = std::min<std::int64_t>(t.ySize, height);
+        if (width * info.pixel_bytes > 4 * limits.max_row_bytes / rows)
+            return input_error(path_, fmt::format("declares rows of tiles of {} x {} pixels; the limit is {} bytes", width,
+                                                  rows, 4 * limits.max_row_bytes));
+        info.block_rows = static_cast<int>(rows);
+    }
+    return info;
+}
+
+Imf::InputPart& ExrInput::part(int index) {
+    auto& input = inputs_[static_cast<std::size_t>(index)];
+    if (!input) input = std::make_unique<Imf::InputPart>(*file_, index);
+    return *input;
+}
+
+namespace {
+
+class ExrImageReader final : public ImageReader {
+public:
+    ExrImageReader(std::unique_ptr<ExrInput> input, ImageHeader header, int rows)
+        : input_(std::move(input)), header_(std::move(header)), rows_(rows) {}
+    const ImageHeader& header() const override { return header_; }
+    int preferred_rows() const override { return rows_; }
+
+    Status read_rows(int y, int rows, std::byte* out) override {
+        const Geometry& g = header_.geometry;
+        if (y < 0 || rows < 0 || rows > g.height - y)
+            return input_error(header_.path, fmt::format("has no rows {}..{}", y, y + rows - 1));
+        if (rows == 0) return {};
+        auto status = guarded(ErrorKind::input, header_.path, [&]() -> Status {
+            const std::size_t sample = pixel_bytes(header_.type), pixel = sample * header_.channels.size();
+            Imf::FrameBuffer frame;
+            for (std::size_t c = 0; c < header_.channels.size(); ++c)
+                frame.insert(header_.channels[c],
+                             exr_slice(header_.type == PixelType::half ? Imf::HALF : Imf::FLOAT, out + c * sample, pixel,
+                                       pixel * static_cast<std::size_t>(g.width), g, y));
+            Imf::InputPart& part = input_->part(0);
+            part.setFrameBuffer(frame);
+            part.readPixels(g.y + y, g.y + y + rows - 1);
+            return {};
+        });
+        if (status) return {};
+        return Error{ErrorKind::input, fmt::format("{} (while reading rows {}..{})", status.error().message, y, y + rows - 1)};
+    }
+
+private:
+    std::unique_ptr<ExrInput> input_;
+    ImageHeader header_;
+    int rows_;
+};
+
+}  // namespace
+
+Result<std::unique_ptr<ImageReader>> open_exr_image(const std::string& path, int threads, const Limits& limits) {
+    using Out = Result<std::unique_ptr<ImageReader>>;
+    auto input = ExrInput::open(path, threads);
+    if (!input) return input.error();
+    return guarded(ErrorKind::input, path, [&]() -> Out {
+        auto info = (*input)->describe(0, limits);
+        if (!info) return info.error();
+        const Imf::Header& h = (*input)->header(0);
+        ImageHeader header;
+        header.path = path;
+        header.format = "openexr";
+        header.geometry = info->geometry;
+        header.subimages = (*input)->parts();
+        header.type = PixelType::half;
+        for (auto c = h.channels().begin(); c != h.channels().end(); ++c) {
+            header.channels.emplace_back(c.name());
+            if (c.channel().type != Imf::HALF) header.type = PixelType::float32;
+        }
+        // The widened row may be larger than the file's own.
+        if (auto ok = check_limits(path, limits, info->geometry.width, info->geometry.height,
+                                   static_cast<std::int64_t>(header.channels.size()),
+                                   static_cast<std::int64_t>(header.channels.size() * pixel_bytes(header.type)));
+            !ok)
+            return ok.error();
+        assign_channels(header);
+        header.alpha_associated = header.alpha >= 0;
+
+        read_exr_attributes(h, header.metadata);
+        ColorHints& hints = header.color_hints;
+        if (Imf::hasChromaticities(h)) {
+            const Imf::Chromaticities& c = Imf::chromaticities(h);
+            hints.chromaticities = {c.red.x, c.red.y, c.green.x, c.green.y, c.blue.x, c.blue.y, c.white.x, c.white.y};
+        }
+        const auto declared = header.metadata.find("oiio:ColorSpace");
+        if (declared != header.metadata.end()) {
+            // OpenImageIO marks every EXR as linear, whatever its primaries.
+            if (const auto* name = std::get_if<std::string>(&declared->second); name && lower(*name) != "linear")
+                hints.declared = *name;
+        }
+        if (const auto* aces = h.findTypedAttribute<Imf::IntAttribute>("acesImageContainerFlag"); aces && aces->value() == 1)
+            hints.declared = "ACES2065-1";
+        for (auto it = header.metadata.begin(); it != header.metadata.end();) {
+            const bool ours = it->first == "chromaticities" || it->first == "acesImageContainerFlag" ||
+                              it->first.starts_with("oiio:") || it->first.starts_with("openexr:") || it->first == "ICCProfile";
+            it = ours ? header.metadata.erase(it) : std::next(it);
+        }
+        const int rows = rows_per_call(info->block_rows, info->geometry.height);
+        // Everything is allocated at the first read; a part that cannot be opened must fail here.
+        (void)(*input)->part(0);
+        return std::unique_ptr<ImageReader>(std::make_unique<ExrImageReader>(std::move(*input), std::move(header), rows));
+    });
+}
+
+}  // namespace spectex::io

@@ -1,0 +1,282 @@
+#include <OpenEXR/ImfChannelList.h>
+#include <OpenEXR/ImfChromaticitiesAttribute.h>
+#include <OpenEXR/ImfDoubleAttribute.h>
+#include <OpenEXR/ImfFloatAttribute.h>
+#include <OpenEXR/ImfFloatVectorAttribute.h>
+#include <OpenEXR/ImfIntAttribute.h>
+#include <OpenEXR/ImfMatrixAttribute.h>
+#include <OpenEXR/ImfPartType.h>
+#include <OpenEXR/ImfStringAttribute.h>
+#include <fcntl.h>
+#include <unistd.h>
+
+#include <array>
+#include <cmath>
+#include <limits>
+#include <set>
+#include <stdexcept>
+
+#include "io/exr_stream.h"
+
+namespace spectex::io {
+namespace {
+
+constexpr std::size_t buffer_bytes = std::size_t{1} << 20;
+
+const std::set<std::string, std::less<>> reserved_attributes{
+    "channels",         "compression",        "dataWindow",        "displayWindow", "lineOrder",  "pixelAspectRatio",
+    "screenWindowWidth", "screenWindowCenter", "tiles",             "type",          "name",       "version",
+    "chunkCount",       "maxSamplesPerPixel", "preview",           "multiView",     "Orientation"};
+
+Result<Imf::Compression> parse_compression(const std::string& path, std::string_view name) {
+    const std::string key = lower(name);
+    if (key.empty() || key == "zip") return Imf::ZIP_COMPRESSION;
+    if (key == "none") return Imf::NO_COMPRESSION;
+    if (key == "rle") return Imf::RLE_COMPRESSION;
+    if (key == "zips") return Imf::ZIPS_COMPRESSION;
+    if (key == "piz") return Imf::PIZ_COMPRESSION;
+    for (std::string_view lossy : {"pxr24", "b44", "b44a", "dwaa", "dwab"})
+        if (key.substr(0, key.find(':')) == lossy)
+            return Error{ErrorKind::usage, fmt::format("{}: compression '{}' changes samples; EXR takes none, rle, zips, zip "
+                                                       "or piz here", path, name)};
+    return Error{ErrorKind::usage,
+                 fmt::format("{}: unknown compression '{}'; EXR takes none, rle, zips, zip or piz", path, name)};
+}
+
+struct InsertAttribute {
+    Imf::Header& header;
+    const std::string& name;
+    void operator()(const std::string& v) const { header.insert(name, Imf::StringAttribute(v)); }
+    void operator()(std::int32_t v) const { header.insert(name, Imf::IntAttribute(v)); }
+    void operator()(float v) const { header.insert(name, Imf::FloatAttribute(v)); }
+    void operator()(double v) const { header.insert(name, Imf::DoubleAttribute(v)); }
+    void operator()(const std::vector<float>& v) const {
+        // The types that the format's own documents give these names.
+        if (name == "chromaticities" && v.size() == 8) {
+            header.insert(name, Imf::ChromaticitiesAttribute(Imf::Chromaticities(
+                                    {v[0], v[1]}, {v[2], v[3]}, {v[4], v[5]}, {v[6], v[7]})));
+        } else if ((name == "worldToCamera" || name == "worldToNDC") && v.size() == 16) {
+            Imath::M44f m;
+            for (int i = 0; i < 16; ++i) m[i / 4][i % 4] = v[static_cast<std::size_t>(i)];
+            header.insert(name, Imf::M44fAttribute(m));
+        } else {
+            header.insert(name, Imf::FloatVectorAttribute(v));
+        }
+    }
+};
+
+Imf::PixelType imf_type(PixelType type) { return type == PixelType::float32 ? Imf::FLOAT : Imf::HALF; }
+
+Result<Imf::Header> make_header(const std::string& path, const Geometry& g, const ExrPart& part, bool multipart,
+                                Imf::Compression compression) {
+    const Imath::Box2i data({g.x, g.y}, {g.x + g.width - 1, g.y + g.height - 1});
+    Imath::Box2i display = data;
+    if (g.full_width > 0 && g.full_height > 0)
+        display = Imath::Box2i({g.full_x, g.full_y}, {g.full_x + g.full_width - 1, g.full_y + g.full_height - 1});
+    const bool sane_aspect = std::isfinite(g.pixel_aspect) && g.pixel_aspect > 0;
+    Imf::Header header(display, data, sane_aspect ? static_cast<float>(g.pixel_aspect) : 1.0F, {0, 0}, 1,
+                       Imf::INCREASING_Y, compression);
+    if (part.channels.empty()) return output_error(path, "an EXR part needs a channel");
+    for (const ExrChannel& c : part.channels) {
+        if (c.name.empty() || c.name.size() > max_attribute_name)
+            return output_error(path, fmt::format("channel name '{}' is empty or longer than 255 bytes", c.name));
+        if (c.type != PixelType::half && c.type != PixelType::float32)
+            return output_error(path, fmt::format("channel '{}': EXR holds half or float, not {}", c.name,
+                                                  pixel_type_name(c.type)));
+        if (header.channels().findChannel(c.name))
+            return output_error(path, fmt::format("two channels are named '{}'", c.name));
+        header.channels().insert(c.name, Imf::Channel(imf_type(c.type)));
+    }
+    header.setType(Imf::SCANLINEIMAGE);
+    if (multipart) header.setName(part.name);
+    if (g.orientation > 1 && g.orientation <= 8) header.insert("Orientation", Imf::IntAttribute(g.orientation));
+    for (const auto& [name, value] : part.attributes) {
+        if (name.empty() || reserved_attributes.contains(name)) continue;
+        if (name.size() > max_attribute_name)
+            return output_error(path, fmt::format("attribute name '{}' is longer than 255 bytes", name));
+        std::visit(InsertAttribute{header, name}, value);
+    }
+    return header;
+}
+
+}  // namespace
+
+DescriptorStream::DescriptorStream(const std::string& path) : Imf::OStream(path.c_str()) {
+    buffer_.reserve(buffer_bytes);
+    fd_ = ::open(path.c_str(), O_WRONLY | O_TRUNC | O_CLOEXEC);
+    if (fd_ < 0) fail(errno);
+}
+
+DescriptorStream::~DescriptorStream() {
+    if (fd_ >= 0) ::close(fd_);
+}
+
+void DescriptorStream::fail(int code) {
+    if (error_.empty()) error_ = errno_text(code);
+    throw std::runtime_error(error_);
+}
+
+void DescriptorStream::flush() {
+    std::size_t done = 0;
+    while (done < buffer_.size()) {
+        const ssize_t n = ::write(fd_, buffer_.data() + done, buffer_.size() - done);
+        if (n < 0) {
+            if (errno == EINTR) continue;
+            fail(errno);
+        }
+        done += static_cast<std::size_t>(n);
+    }
+    position_ += done;
+    buffer_.clear();
+}
+
+void DescriptorStream::write(const char c[], int n) {
+    if (!error_.empty()) throw std::runtime_error(error_);
+    const auto size = static_cast<std::size_t>(n);
+    if (buffer_.size() + size > buffer_bytes) flush();
+    if (size <= buffer_bytes) {
+        buffer_.insert(buffer_.end(), c, c + size);
+        return;
+    }
+    buffer_.assign(c, c + size);
+    flush();
+}
+
+void DescriptorStream::seekp(std::uint64_t position) {
+    if (!error_.empty()) throw std::runtime_error(error_);
+    flush();
+    if (::lseek(fd_, static_cast<off_t>(position), SEEK_SET) < 0) fail(errno);
+    position_ = position;
+}
+
+std::optional<std::string> DescriptorStream::close() {
+    try {
+        if (error_.empty()) flush();
+    } catch (const std::exception&) {
+        // flush kept the reason
+    }
+    if (fd_ >= 0 && ::close(fd_) != 0 && error_.empty()) error_ = errno_text(errno);
+    fd_ = -1;
+    if (error_.empty()) return std::nullopt;
+    return error_;
+}
+
+Result<std::unique_ptr<ExrOutput>> ExrOutput::create(const std::string& path, const Geometry& geometry,
+                                                     const std::vector<ExrPart>& parts, const WriteOptions& options) {
+    using Out = Result<std::unique_ptr<ExrOutput>>;
+    return guarded(ErrorKind::output, path, [&]() -> Out {
+        auto compression = parse_compression(path, options.compression);
+        if (!compression) return compression.error();
+        if (geometry.width < 1 || geometry.height < 1)
+            return output_error(path, fmt::format("cannot write {} x {} pixels", geometry.width, geometry.height));
+        if (parts.empty()) return output_error(path, "an EXR needs a part");
+        std::set<std::string> names;
+        std::vector<Imf::Header> headers;
+        for (const ExrPart& part : parts) {
+            if (parts.size() > 1 && (part.name.empty() || !names.insert(part.name).second))
+                return output_error(path, fmt::format("the parts of an EXR need different names, not '{}'", part.name));
+            auto header = make_header(path, geometry, part, parts.size() > 1, *compression);
+            if (!header) return header.error();
+            headers.push_back(*header);
+        }
+        auto file = OutputFile::create(path);
+        if (!file) return file.error();
+        std::unique_ptr<ExrOutput> self(new ExrOutput(std::move(*file)));
+        const int threads = prepare_threads(options.threads);
+        self->geometry_ = geometry;
+        self->parts_ = parts;
+        self->headers_ = std::move(headers);
+        self->stream_ = std::make_unique<DescriptorStream>(self->file_.temporary_path());
+        self->output_ = std::make_unique<Imf::MultiPartOutputFile>(
+            *self->stream_, self->headers_.data(), static_cast<int>(self->headers_.size()), false, threads > 1 ? threads : 0);
+        for (int i = 0; i < static_cast<int>(parts.size()); ++i) self->outputs_.emplace_back(*self->output_, i);
+        return self;
+    });
+}
+
+ExrOutput::~ExrOutput() {
+    // The file's destructor writes to the stream, which must outlive it.
+    outputs_.clear();
+    output_.reset();
+}
+
+Status ExrOutput::write(int y, int rows, const std::vector<SampleLayout>& layouts) {
+    const std::string& path = file_.destination();
+    return guarded(ErrorKind::output, path, [&]() -> Status {
+        if (!output_) return output_error(path, "rows come after the end");
+        if (y != next_row_ || rows < 0 || rows > geometry_.height - y)
+            return output_error(path, fmt::format("rows {}..{} are out of order: {} is next of {}", y, y + rows - 1,
+                                                  next_row_, geometry_.height));
+        if (rows == 0) return {};
+        std::size_t channel = 0;
+        for (std::size_t p = 0; p < parts_.size(); ++p) {
+            Imf::FrameBuffer frame;
+            for (const ExrChannel& c : parts_[p].channels) {
+                if (channel >= layouts.size() || layouts[channel].base == nullptr)
+                    return output_error(path, fmt::format("no samples for channel '{}'", c.name));
+                const SampleLayout& l = layouts[channel++];
+                // OpenEXR addresses pixels from the display origin, which need not lie inside the buffer: unsigned
+                // arithmetic, as pointers may not leave their array.
+                const auto origin = reinterpret_cast<std::uintptr_t>(l.base) -
+                                    static_cast<std::uintptr_t>(static_cast<std::intptr_t>(geometry_.x)) * l.x_stride -
+                                    static_cast<std::uintptr_t>(static_cast<std::intptr_t>(geometry_.y) + y) * l.y_stride;
+                frame.insert(c.name, Imf::Slice(imf_type(c.type), reinterpret_cast<char*>(origin), l.x_stride, l.y_stride));
+            }
+            outputs_[p].setFrameBuffer(frame);
+            outputs_[p].writePixels(rows);
+        }
+        next_row_ += rows;
+        return {};
+    });
+}
+
+Status ExrOutput::commit() {
+    const std::string& path = file_.destination();
+    return guarded(ErrorKind::output, path, [&]() -> Status {
+        if (!output_) return output_error(path, "is committed already");
+        if (next_row_ != geometry_.height)
+            return output_error(path, fmt::format("{} of {} rows were written", next_row_, geometry_.height));
+        outputs_.clear();
+        output_.reset();
+        if (auto error = stream_->close()) return output_error(path, *error);
+        return file_.commit();
+    });
+}
+
+}  // namespace spectex::io
+
+namespace spectex {
+
+ExrWriter::~ExrWriter() = default;
+
+namespace {
+
+class PlanarExrWriter final : public ExrWriter {
+public:
+    explicit PlanarExrWriter(std::unique_ptr<io::ExrOutput> output) : output_(std::move(output)) {
+        for (const ExrPart& part : output_->parts())
+            for (const ExrChannel& c : part.channels) strides_.push_back(pixel_bytes(c.type));
+    }
+    Status write_rows(int y, int rows, std::span<const std::byte* const> planes) override {
+        std::vector<io::SampleLayout> layouts(planes.size());
+        for (std::size_t i = 0; i < planes.size() && i < strides_.size(); ++i)
+            layouts[i] = {planes[i], strides_[i], strides_[i] * static_cast<std::size_t>(output_->width())};
+        return output_->write(y, rows, layouts);
+    }
+    Status commit() override { return output_->commit(); }
+
+private:
+    std::unique_ptr<io::ExrOutput> output_;
+    std::vector<std::size_t> strides_;
+};
+
+}  // namespace
+
+Result<std::unique_ptr<ExrWriter>> ExrWriter::create(const std::string& path, const Geometry& geometry,
+                                                     const std::vector<ExrPart>& parts, const WriteOptions& options) {
+    auto output = io::ExrOutput::create(path, geometry, parts, options);
+    if (!output) return output.error();
+    return std::unique_ptr<ExrWriter>(std::make_unique<PlanarExrWriter>(std::move(*output)));
+}
+
+}  // namespace spectex

@@ -1,0 +1,82 @@
+// What the files of this room share.
+#pragma once
+
+#include <cerrno>
+#include <cstring>
+#include <exception>
+#include <new>
+#include <string>
+#include <string_view>
+#include <vector>
+
+#include <fmt/format.h>
+
+#include "spectex/io.h"
+
+namespace spectex::io {
+
+inline Error input_error(std::string_view path, std::string_view what) {
+    return {ErrorKind::input, fmt::format("{}: {}", path, what)};
+}
+inline Error output_error(std::string_view path, std::string_view what) {
+    return {ErrorKind::output, fmt::format("{}: {}", path, what)};
+}
+std::string errno_text(int code);
+
+/// Runs `body` and turns whatever it throws into an Error of that kind that names the file.
+template <class Body>
+auto guarded(ErrorKind kind, const std::string& path, Body&& body) -> decltype(body()) {
+    try {
+        return body();
+    } catch (const std::bad_alloc&) {
+        return Error{kind, fmt::format("{}: not enough memory", path)};
+    } catch (const std::exception& e) {
+        std::string_view what = e.what();
+        // The message may bear the path already.
+        return Error{kind, what.find(path) != std::string_view::npos ? std::string(what)
+                                                                      : fmt::format("{}: {}", path, what)};
+    } catch (...) {
+        return Error{kind, fmt::format("{}: unknown failure", path)};
+    }
+}
+
+/// Makes the pools of OpenEXR and OpenImageIO at least that wide; 0 asks for one thread per core. Pools never shrink,
+/// since another file may be using them. Returns the count for this file.
+int prepare_threads(int threads);
+
+std::string lower(std::string_view text);
+/// Suffix with its dot, in lower case: ".exr"; empty without one.
+std::string suffix_of(std::string_view path);
+
+/// Whether the file begins as an OpenEXR file does. @error input: missing or unreadable.
+Result<bool> is_exr(const std::string& path);
+
+/// Whether a file can be opened as a regular, non-empty one; says why not.
+Status check_readable(const std::string& path);
+
+/// Sizes against limits. @param sample_bytes  of one pixel over all channels.
+Status check_limits(const std::string& path, const Limits& limits, std::int64_t width, std::int64_t height,
+                    std::int64_t channels, std::int64_t pixel_bytes);
+
+/// Finds colour and alpha among the names and fills header.color, alpha and others.
+void assign_channels(ImageHeader& header);
+
+/// Attributes of hostile size or number are left out.
+inline constexpr std::size_t max_attribute_bytes = std::size_t{1} << 16;
+inline constexpr std::size_t max_attributes = 1024;
+inline constexpr std::size_t max_attribute_name = 255;
+
+/// What only the file itself can tell, since OpenImageIO fills in the rest.
+struct FileFacts {
+    bool png = false, png_interlaced = false;
+    bool srgb = false;
+    std::optional<double> gamma;
+    std::optional<std::array<double, 8>> chromaticities;
+    bool streams = true;  ///< OpenImageIO decodes it by rows rather than as a whole
+};
+/// @error input: a JPEG without its end marker, or a PNG without IEND.
+Result<FileFacts> read_file_facts(const std::string& path);
+
+Result<std::unique_ptr<ImageReader>> open_exr_image(const std::string& path, int threads, const Limits& limits);
+
+}  // namespace spectex::io
