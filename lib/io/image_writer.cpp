@@ -86,10 +86,8 @@ Status apply_compression(const std::string& path, std::string_view suffix, std::
         if (!key.empty() && key != "none" && key != "lzw" && key != "zip")
             return bad_compression(path, name, "none, lzw or zip");
         spec.attribute("compression", key.empty() ? "zip" : key);
-    } else if (suffix == ".webp") {
-        if (!key.empty() && key != "lossless") return bad_compression(path, name, "lossless");
-        spec.attribute("compression", "lossless:100");
-    } else if (suffix == ".jpg" || suffix == ".jpeg" || suffix == ".jpe" || suffix == ".jfif") {
+    } else if (suffix == ".jpg" || suffix == ".jpeg" || suffix == ".jpe" || suffix == ".jfif" ||
+               suffix == ".webp") {
         int quality = 98;
         if (!key.empty()) {
             const auto [end, code] = std::from_chars(key.data(), key.data() + key.size(), quality);
