@@ -274,8 +274,9 @@ Result<std::unique_ptr<ImageReader>> open_oiio(const std::string& path, int thre
                                              spec.tile_height, 4 * limits.max_row_bytes));
     header.channels.assign(spec.channelnames.begin(), spec.channelnames.end());
     assign_channels(header);
-    header.alpha_associated = header.alpha >= 0 && header.format == "tiff" &&
-                              spec.get_int_attribute("oiio:UnassociatedAlpha", 0) == 0;
+    // OpenImageIO's WebP decoder premultiplies whatever is asked of it.
+    header.alpha_associated = header.alpha >= 0 && (header.format == "webp" || (header.format == "tiff" &&
+                              spec.get_int_attribute("oiio:UnassociatedAlpha", 0) == 0));
     header.color_hints = color_hints(spec, header.format, *facts);
     read_metadata(spec, header.metadata);
     if (header.format == "tiff" || header.format == "gif") {
