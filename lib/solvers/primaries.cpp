@@ -53,18 +53,24 @@ std::vector<DifferenceRow> difference_rows(std::span<const double> nm, Smoothnes
 /// dependent.
 constexpr std::size_t solved_primaries = 2;
 
+/// Makes (r + g) + b exactly 1 as floating point adds it, so that white is exactly 1: with s = fl(x) in [0,1],
+/// s + fl(1 - s) misses 1 by no more than half a unit in the last place below 1, and the tie goes to 1.
+void close_sums(std::vector<double>& basis) {
+    const std::size_t n = basis.size() / 3;
+    for (std::size_t l = 0; l < n; ++l) {
+        double &r = basis[l], &g = basis[n + l], &b = basis[2 * n + l];
+        if (b > 0 && r + g < 1) {
+            b = 1 - (r + g);
+        } else {
+            b = 0;
+            (r > g ? r : g) = 1 - std::min(r, g);
+        }
+    }
+}
+
 PrimariesSolution finish(const Grid& grid, std::vector<double> basis, Smoothness smoothness) {
     const std::size_t n = grid.bands();
     PrimariesSolution s;
-    // (r + g) + b must be 1 as floating point adds it, so that white is exactly 1: the largest of the three, which is never
-    // at a bound of zero, takes up the last bits.
-    for (std::size_t l = 0; l < n; ++l) {
-        double* b[3] = {&basis[l], &basis[n + l], &basis[2 * n + l]};
-        const auto sum = [&] { return (*b[0] + *b[1]) + *b[2]; };
-        double& top = **std::max_element(b, b + 3, [](const double* p, const double* q) { return *p < *q; });
-        if (std::abs(sum() - 1) > 1e-12) continue;
-        for (int k = 0; k < 16 && sum() != 1; ++k) top = std::nextafter(top, sum() < 1 ? 2.0 : 0.0);
-    }
     for (std::size_t i = 0; i < 3; ++i)
         for (std::size_t c = 0; c < 3; ++c) {
             long double sum = i == c ? -1 : 0;
@@ -190,7 +196,9 @@ Result<PrimariesSolution> smoothest(const Grid& grid, Smoothness smoothness) {
 
     auto solved = solve_quadratic_programme(p);
     if (!solved) return solved.error();
-    PrimariesSolution s = finish(grid, {solved->x.data(), solved->x.data() + solved->x.size()}, smoothness);
+    std::vector<double> basis(solved->x.data(), solved->x.data() + solved->x.size());
+    close_sums(basis);
+    PrimariesSolution s = finish(grid, std::move(basis), smoothness);
     s.duality_gap = solved->duality_gap;
     s.iterations = solved->iterations;
     s.multipliers.assign(9 + n, 0.0);
