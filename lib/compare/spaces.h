@@ -1,0 +1,42 @@
+// Coordinates in which differences are taken.
+#pragma once
+
+#include <cmath>
+
+#include "spectex/compare.h"
+
+namespace spectex {
+
+/// CIE 15:2018 eq. 8.6 and 8.7; the linear branch continues below zero.
+inline double lab_f(double t) {
+    constexpr double border = (24.0 / 116) * (24.0 / 116) * (24.0 / 116);
+    return t > border ? std::cbrt(t) : 841.0 / 108 * t + 16.0 / 116;
+}
+inline Vector3 lab_from_f(const Vector3& f) { return {116 * f[1] - 16, 500 * (f[0] - f[1]), 200 * (f[1] - f[2])}; }
+
+/// L99, a99, b99 of DIN 6176:2001 with kE = kCH = 1. Below L* = 0 the lightness goes on with its slope at 0.
+Vector3 din99_from_lab(const Vector3& lab);
+
+/// Perceptual quantizer, ITU-R BT.2100 table 4, of a luminance in cd/m2; mirrored about its value at 0 for negative light.
+double pq_encode(double luminance);
+
+/// Relative XYZ, times 1, to I, T, P of ITU-R BT.2124 annex 1.
+struct ItpSpace {
+    explicit ItpSpace(const Vector3& white);
+    Vector3 operator()(const Vector3& xyz) const;
+    Matrix3 xyz_to_lms;  ///< to cd/m2
+};
+
+/// Relative XYZ to Oklab.
+struct OklabSpace {
+    explicit OklabSpace(const Vector3& white);
+    Vector3 operator()(const Vector3& xyz) const;
+    Matrix3 xyz_to_lms;
+};
+
+/// Lab of n colours, with t = `to_relative` rgb the XYZ over the white's; every instruction set gives the same bytes.
+/// Within 1e-12 of lab_from_xyz relative to the largest of 100 and |Lab|.
+void lab_planes(const Matrix3& to_relative, std::array<const float*, 3> rgb, std::size_t n, std::array<double*, 3> lab);
+void lab_planes(const Matrix3& to_relative, std::array<const double*, 3> rgb, std::size_t n, std::array<double*, 3> lab);
+
+}  // namespace spectex
