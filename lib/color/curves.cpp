@@ -16,7 +16,8 @@ double srgb_decode(double encoded) {
 
 double srgb_encode(double linear) {
     const double v = std::fabs(linear);
-    const double encoded = v <= 0.0031308 ? v * 12.92 : 1.055 * std::pow(v, 1 / 2.4) - 0.055;
+    // 1.055 p - 0.055, in the form that gives exactly 1 for 1; an infinity stays one.
+    const double encoded = v <= 0.0031308 ? v * 12.92 : 1 + 1.055 * (std::pow(v, 1 / 2.4) - 1);
     return std::copysign(encoded, linear);
 }
 

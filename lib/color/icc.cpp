@@ -56,7 +56,9 @@ public:
             return {};
         }
         // A profile with tables says more by them than by its colorants, so they are preferred, as ICC.1 8.10.2 has it.
-        tables_ = cmsIsCLUT(profile_.get(), INTENT_RELATIVE_COLORIMETRIC, LCMS_USED_AS_INPUT) != 0;
+        // Little CMS takes A2B0 where the table of the intent is missing.
+        tables_ = cmsIsCLUT(profile_.get(), INTENT_RELATIVE_COLORIMETRIC, LCMS_USED_AS_INPUT) != 0 ||
+                  cmsIsTag(profile_.get(), cmsSigAToB0Tag) != 0;
         if (!tables_) {
             if (!take_colorants()) return wrong(named + "has no usable colorants");
             if (!take_curves({cmsSigRedTRCTag, cmsSigGreenTRCTag, cmsSigBlueTRCTag}))

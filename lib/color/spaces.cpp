@@ -277,7 +277,7 @@ std::optional<Resolution> resolve_own(std::string_view name, const OCIO::ConstCo
     // Pure gammas as files declare them: "Gamma2.2", "GammaCorrected2.2" (OIIO), "gamma 1.96".
     for (const std::string_view prefix : {"gammacorrected", "gamma"})
         if (folded.starts_with(prefix)) {
-            const auto digits = name.find_first_of("0123456789.");
+            const auto digits = name.find_first_of("+-0123456789.");
             const auto gamma = digits == std::string_view::npos ? std::nullopt : parse_number(name.substr(digits));
             const auto rec709 = find_rgb_space("BT.709");
             if (gamma && *gamma >= 0.1 && *gamma <= 10 && rec709) {
