@@ -1,7 +1,9 @@
 #include <fmt/format.h>
 
 #include <algorithm>
+#include <atomic>
 #include <cstring>
+#include <mutex>
 
 #include "color/icc.h"
 #include "color/spaces.h"
@@ -56,14 +58,6 @@ public:
         matrix = m;
         has_matrix = !(m == Matrix3{});
     }
-    void make_table() {
-        if (icc && icc->is_curves_and_matrix())
-            for (std::size_t c = 0; c < (icc->is_grey() ? 1u : 3u); ++c)
-                tables_.emplace_back([&](double v) { return icc->decode(c, v); });
-        else if (!decode.is_linear())
-            tables_.emplace_back([&](double v) { return decode.decode(v); });
-    }
-
     bool is_identity() const override {
         return !before && !after && !icc && !has_matrix && decode.is_linear() && encode.is_linear();
     }
@@ -74,6 +68,8 @@ public:
 
     void apply(std::array<float*, 3> rgb, std::size_t n) const override {
         if (is_identity()) return;
+        // A call on a whole strip pays for the table; a caller that makes a table of its own by 256 values does not.
+        if (n >= 16384) std::call_once(tables_made_, [this] { make_tables(); });
         for (std::size_t first = 0; first < n; first += block) {
             apply_block(rgb, std::min(block, n - first));
             for (auto& plane : rgb) plane += block;
@@ -81,6 +77,14 @@ public:
     }
 
 private:
+    void make_tables() const {
+        if (icc && icc->is_curves_and_matrix())
+            for (std::size_t c = 0; c < (icc->is_grey() ? 1u : 3u); ++c)
+                tables_.emplace_back([&](double v) { return icc->decode(c, v); });
+        else if (!icc && !decode.is_linear())
+            tables_.emplace_back([&](double v) { return decode.decode(v); });
+        tables_ready_.store(!tables_.empty(), std::memory_order_release);
+    }
     void apply_block(const std::array<float*, 3>& rgb, std::size_t n) const {
         // Kept to put NaN and infinities back where clamps, tables and matrices would lose them.
         float kept[3][block];
@@ -113,7 +117,7 @@ private:
     }
 
     double decoded(std::size_t channel, float value) const {
-        if (!tables_.empty()) {
+        if (tables_ready_.load(std::memory_order_acquire)) {
             if (const double* known = tables_[std::min(channel, tables_.size() - 1)].find(value)) return *known;
         }
         return icc ? icc->decode(channel, static_cast<double>(value)) : decode.decode(static_cast<double>(value));
@@ -127,7 +131,9 @@ private:
         cpu->apply(image);
     }
 
-    std::vector<CodeTable> tables_;
+    mutable std::vector<CodeTable> tables_;
+    mutable std::once_flag tables_made_;
+    mutable std::atomic<bool> tables_ready_{false};
 };
 
 std::string curve_name(const Curve& curve) {
@@ -221,7 +227,6 @@ Result<std::unique_ptr<ColorTransform>> ColorTransform::to_linear(const ColorSpa
     }
     if (!status) return status.error();
     if (out->description.empty()) out->description = "none: already linear " + to.name;
-    out->make_table();
     return std::unique_ptr<ColorTransform>(std::move(out));
 }
 
