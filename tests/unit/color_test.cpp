@@ -179,8 +179,8 @@ TEST_F(Color, OcioCurveOfSrgbIsNotThatOfTheStandard) {
     const auto ours = to_linear("sRGB");
     int ocio_off = 0, ours_off = 0;
     double worst = 0;
-    for (int code = 1; code < 256; ++code) {
-        const float v = static_cast<float>(code / 255.0);
+    for (int code = 1; code < 65536; ++code) {
+        const float v = static_cast<float>(code / 65535.0);
         float theirs[3] = {v, v, v};
         cpu->applyRGB(theirs);
         const long double exact = reference_decode(static_cast<long double>(v));
@@ -357,6 +357,7 @@ TEST_F(Color, NamesAreFoundInManySpellingsAndUnknownOnesGetHelp) {
     EXPECT_EQ("sRGB - Texture", named("srgb").name);
     EXPECT_EQ("sRGB - Texture", named("sRGB Texture").name);
     EXPECT_EQ("sRGB - Texture", named("srgb_texture").name);
+    EXPECT_EQ("sRGB - Texture", named("SRGB-TX").name);
     EXPECT_EQ("Linear Rec.709 (sRGB)", named("linear").name);
     EXPECT_EQ("Linear Rec.709 (sRGB)", named("scene_linear").name);
     EXPECT_EQ("Linear Rec.709 (sRGB)", named("lin_rec709").name);
@@ -540,6 +541,18 @@ TEST_F(Color, TableProfilesGoThroughLittleCms) {
     EXPECT_TRUE(std::isnan(nan[0]));
 }
 
+TEST_F(Color, ProfileDescriptionsCannotDriveATerminal) {
+    const auto bytes = rgb_profile(rgb("ProPhoto"), cmsBuildGamma(nullptr, 1.8));
+    cmsHPROFILE profile = cmsOpenProfileFromMem(bytes.data(), static_cast<cmsUInt32Number>(bytes.size()));
+    cmsMLU* text = cmsMLUalloc(nullptr, 1);
+    ASSERT_TRUE(cmsMLUsetASCII(text, "en", "US", "wide\x1b[31m gamut\n"));
+    ASSERT_TRUE(cmsWriteTag(profile, cmsSigProfileDescriptionTag, text));
+    cmsMLUfree(text);
+    auto header = image(PixelType::uint8);
+    header.color_hints.icc_profile = saved(profile);
+    EXPECT_EQ("ICC profile: wide[31m gamut", choose_input_space(header, "")->name);
+}
+
 TEST_F(Color, GreyProfiles) {
     const cmsCIExyY d50{0.3457, 0.3585, 1};
     cmsToneCurve* curve = cmsBuildGamma(nullptr, 2.2);
@@ -571,7 +584,7 @@ TEST_F(Color, HostileProfilesAreIgnoredWithAReason) {
     const auto good = rgb_profile(rgb("ProPhoto"), tabulated(1.8, 64));
     std::mt19937 random(11);
     int usable = 0, ignored = 0;
-    for (int trial = 0; trial < 1500; ++trial) {
+    for (int trial = 0; trial < 400; ++trial) {
         auto bytes = good;
         if (trial % 3 == 0) bytes.resize(random() % bytes.size());
         for (auto k = random() % 24; k > 0 && !bytes.empty(); --k) bytes[random() % bytes.size()] = static_cast<std::uint8_t>(random());
@@ -590,8 +603,8 @@ TEST_F(Color, HostileProfilesAreIgnoredWithAReason) {
         for (const float x : v) ASSERT_TRUE(std::isfinite(x));
         for (const char c : choice->name) ASSERT_TRUE(c >= ' ' && c < 127);
     }
-    EXPECT_GT(usable, 100);
-    EXPECT_GT(ignored, 100);
+    EXPECT_GT(usable, 20);
+    EXPECT_GT(ignored, 20);
     for (const std::vector<std::uint8_t>& bytes : {std::vector<std::uint8_t>{1, 2, 3}, std::vector<std::uint8_t>(4096, 0xff),
                                                    saved(cmsCreateLab4Profile(nullptr))}) {
         auto header = image(PixelType::uint8, "png");
