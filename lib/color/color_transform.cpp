@@ -46,7 +46,7 @@ private:
 /// Stages: [OCIO or ICC tables or curves] -> matrix -> [curves or OCIO], in double except within OCIO.
 class StagedTransform final : public ColorTransform {
 public:
-    Curve decode, encode;
+    TransferCurve decode, encode;
     bool has_matrix = false;
     Matrix3 matrix;
     std::shared_ptr<const color::IccProfile> icc;
@@ -136,7 +136,7 @@ private:
     mutable std::atomic<bool> tables_ready_{false};
 };
 
-std::string curve_name(const Curve& curve) {
+std::string curve_name(const TransferCurve& curve) {
     switch (curve.kind) {
         case CurveKind::linear: return "linear";
         case CurveKind::srgb: return "sRGB curve (IEC 61966-2-1)";

@@ -21,7 +21,7 @@ double srgb_encode(double linear) {
     return std::copysign(encoded, linear);
 }
 
-double Curve::decode(double encoded) const {
+double TransferCurve::decode(double encoded) const {
     const double v = std::fabs(encoded);
     switch (kind) {
         case CurveKind::linear: return encoded;
@@ -35,7 +35,7 @@ double Curve::decode(double encoded) const {
     return encoded;
 }
 
-double Curve::encode(double linear) const {
+double TransferCurve::encode(double linear) const {
     const double v = std::fabs(linear);
     switch (kind) {
         case CurveKind::linear: return linear;

@@ -17,12 +17,12 @@ enum class CurveKind {
 
 /// Encoded value to linear light and back, in double; every curve is continued as an odd function below 0 and by its own
 /// formula above 1, and leaves NaN and infinities as they are.
-struct Curve {
+struct TransferCurve {
     CurveKind kind = CurveKind::linear;
     double exponent = 1;
 
     bool is_linear() const { return kind == CurveKind::linear || (kind == CurveKind::power && exponent == 1); }
-    bool operator==(const Curve&) const = default;
+    bool operator==(const TransferCurve&) const = default;
     double decode(double encoded) const;
     double encode(double linear) const;
 };

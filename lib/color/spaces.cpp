@@ -42,7 +42,7 @@ namespace color {
 
 namespace OCIO = OCIO_NAMESPACE;
 
-EncodedSpace encoded_space(const RgbSpace& space, const Curve& curve, std::string name) {
+EncodedSpace encoded_space(const RgbSpace& space, const TransferCurve& curve, std::string name) {
     EncodedSpace out;
     out.name = std::move(name);
     out.white = xyz_from_xy(space.white_xy[0], space.white_xy[1]);
@@ -283,7 +283,7 @@ std::optional<Resolution> resolve_own(std::string_view name, const OCIO::ConstCo
             if (gamma && *gamma >= 0.1 && *gamma <= 10 && rec709) {
                 if (*gamma == 1) return from_name("Linear Rec.709 (sRGB)");
                 for (const auto& space : own_spaces())
-                    if (space.curve == Curve{CurveKind::power, *gamma} && space.name.starts_with("Gamma"))
+                    if (space.curve == TransferCurve{CurveKind::power, *gamma} && space.name.starts_with("Gamma"))
                         return Resolution{space.name, space, {}, {}};
                 auto title = fmt::format("Gamma {:g}", *gamma);
                 auto space = encoded_space(*rec709, {CurveKind::power, *gamma}, title);

@@ -15,11 +15,11 @@ struct EncodedSpace {
     std::string name;
     Matrix3 to_xyz;
     Vector3 white{1, 1, 1};
-    Curve curve;
+    TransferCurve curve;
     bool data = false;  ///< numbers without colour: passed on as they are
 };
 
-EncodedSpace encoded_space(const RgbSpace& space, const Curve& curve, std::string name);
+EncodedSpace encoded_space(const RgbSpace& space, const TransferCurve& curve, std::string name);
 
 /// Every space of luts/ocio/spectex.ocio in its order.
 const std::vector<EncodedSpace>& own_spaces();
