@@ -32,10 +32,10 @@ struct DifferenceRow {
 std::vector<DifferenceRow> difference_rows(std::span<const double> nm, Smoothness smoothness) {
     const std::size_t n = nm.size();
     const double mean = (nm.back() - nm.front()) / static_cast<double>(n - 1);
-    // Spacing relative to the mean; exactly 1 on even grids, whose centres carry rounding.
+    // Spacing relative to the mean; exactly 1 on even grids, whose centres are rounded to 1e-6 nm.
     const auto spacing = [&](std::size_t i) {
-        const double h = (nm[i + 1] - nm[i]) / mean;
-        return std::abs(h - 1) < 1e-9 ? 1.0 : h;
+        const double h = nm[i + 1] - nm[i];
+        return std::abs(h - mean) < 2e-6 ? 1.0 : h / mean;
     };
     std::vector<DifferenceRow> rows;
     if (smoothness == Smoothness::first) {
@@ -319,6 +319,10 @@ namespace spectex {
 
 Result<PrimariesOutcome> solve_primaries(const Colorimetry& colorimetry, Smoothness smoothness) {
     return solvers::solve_primaries(colorimetry.sensing_matrix(), colorimetry.bands().wavelengths_nm(), smoothness);
+}
+
+double squared_differences(std::span<const double> spectra, const BandSet& bands, Smoothness smoothness) {
+    return solvers::roughness(spectra, bands.wavelengths_nm(), smoothness);
 }
 
 }  // namespace spectex

@@ -1,6 +1,7 @@
 // Convex programmes behind the spectra: spectral primaries as a quadratic programme, with a certificate where there are none.
 #pragma once
 
+#include <span>
 #include <string>
 #include <vector>
 
@@ -34,7 +35,10 @@ struct PrimariesSolution {
     double duality_gap = 0;          ///< relative, at the interior solution before the polish
     double least_violation = 0;      ///< smallest t with -t <= b <= 1 + t; negative: slack
     int iterations = 0;
-    std::vector<double> multipliers; ///< dual certificate of optimality, as the solver documents
+    /// Proof of optimality: y [3 primaries][3 components], then s [bands], with which
+    /// z_i = (gradient of objective by b_i) - A^T y_i - s is >= 0 everywhere and 0 where b_i > 0. By convexity no feasible
+    /// spectra have a smaller objective.
+    std::vector<double> multipliers;
 };
 
 struct PrimariesOutcome {
@@ -50,5 +54,8 @@ struct PrimariesOutcome {
 /// residuals <= 1e-12, bounds exact.
 /// @error infeasible never: that is an outcome. input, when the numerics fail to converge (said with the figures reached).
 SPECTEX_API Result<PrimariesOutcome> solve_primaries(const Colorimetry& colorimetry, Smoothness smoothness);
+
+/// The objective of three (or any) spectra, [spectra][bands]: the sum of their squared differences, in long double.
+SPECTEX_API double squared_differences(std::span<const double> spectra, const BandSet& bands, Smoothness smoothness);
 
 }  // namespace spectex
