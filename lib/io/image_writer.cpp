@@ -1,6 +1,10 @@
 #include <OpenImageIO/imageio.h>
 
+#include <OpenImageIO/filesystem.h>
+
+#include <algorithm>
 #include <charconv>
+#include <cstdio>
 #include <set>
 
 #include "io/exr_stream.h"
@@ -25,6 +29,7 @@ struct Format {
     int max_channels;           ///< 0: any number
     bool alpha;
 };
+// DPX is missing since its writer stamps the time, SGI since its writer does not notice a full disk.
 constexpr Format formats[] = {
     {" .exr ", false, false, true, true, 0, true},
     {" .png ", true, true, false, false, 4, true},
@@ -34,8 +39,6 @@ constexpr Format formats[] = {
     {" .bmp ", true, false, false, false, 4, true},
     {" .hdr .rgbe ", false, false, false, true, 3, false},
     {" .ppm .pgm .pnm ", true, false, false, false, 3, false},
-    {" .dpx ", true, true, false, false, 4, true},
-    {" .sgi .rgb .rgba ", true, true, false, false, 4, true},
     {" .webp ", true, false, false, false, 3, false},
 };
 
@@ -120,10 +123,60 @@ void apply_metadata(const Attributes& metadata, OIIO::ImageSpec& spec) {
     }
 }
 
+// A file whose failures are kept: several of the format writers do not look at what a write returns.
+class CheckedFile final : public OIIO::Filesystem::IOProxy {
+public:
+    explicit CheckedFile(const std::string& path) : IOProxy(path, Write), file_(std::fopen(path.c_str(), "wbe")) {
+        if (!file_) fail();
+        else std::setvbuf(file_, nullptr, _IOFBF, std::size_t{1} << 20);
+    }
+    ~CheckedFile() override { close(); }
+    const char* proxytype() const override { return "spectex"; }
+    void close() override {
+        if (file_ && std::fclose(file_) != 0) fail();
+        file_ = nullptr;
+        m_mode = Closed;
+    }
+    bool opened() const override { return file_ != nullptr; }
+    bool seek(std::int64_t offset) override {
+        if (!file_ || ::fseeko(file_, offset, SEEK_SET) != 0) return fail(), false;
+        m_pos = offset;
+        return true;
+    }
+    std::size_t write(const void* data, std::size_t n) override {
+        if (!file_ || !failure_.empty()) return 0;
+        const std::size_t done = std::fwrite(data, 1, n, file_);
+        if (done != n) fail();
+        m_pos += static_cast<std::int64_t>(done);
+        size_ = std::max(size_, m_pos);
+        return done;
+    }
+    std::size_t pwrite(const void* data, std::size_t n, std::int64_t offset) override {
+        const std::int64_t before = m_pos;
+        if (!seek(offset)) return 0;
+        const std::size_t done = write(data, n);
+        return seek(before) ? done : 0;
+    }
+    std::size_t size() const override { return static_cast<std::size_t>(size_); }
+    void flush() const override {
+        if (file_) (void)std::fflush(file_);
+    }
+    const std::string& failure() const { return failure_; }
+
+private:
+    void fail() {
+        if (failure_.empty()) failure_ = errno_text(errno);
+    }
+    std::FILE* file_;
+    std::int64_t size_ = 0;
+    std::string failure_;
+};
+
 class OiioWriter final : public ImageWriter {
 public:
-    OiioWriter(OutputFile file, std::unique_ptr<OIIO::ImageOutput> output, OIIO::ImageSpec spec, PixelType type)
-        : file_(std::move(file)), output_(std::move(output)), spec_(std::move(spec)), type_(type) {}
+    OiioWriter(OutputFile file, std::unique_ptr<CheckedFile> checked, std::unique_ptr<OIIO::ImageOutput> output,
+               OIIO::ImageSpec spec, PixelType type)
+        : file_(std::move(file)), checked_(std::move(checked)), output_(std::move(output)), spec_(std::move(spec)), type_(type) {}
     PixelType type() const override { return type_; }
 
     Status write_rows(int y, int rows, const std::byte* samples) override {
@@ -134,7 +187,9 @@ public:
                 return output_error(path, fmt::format("rows {}..{} are out of order: {} is next of {}", y, y + rows - 1,
                                                       next_row_, spec_.height));
             if (rows == 0) return {};
-            if (!output_->write_scanlines(spec_.y + y, spec_.y + y + rows, 0, oiio_type(type_), samples)) return failure();
+            if (!output_->write_scanlines(spec_.y + y, spec_.y + y + rows, 0, oiio_type(type_), samples) ||
+                (checked_ && !checked_->failure().empty()))
+                return failure();
             next_row_ += rows;
             return {};
         });
@@ -146,6 +201,10 @@ public:
             if (next_row_ != spec_.height)
                 return output_error(path, fmt::format("{} of {} rows were written", next_row_, spec_.height));
             if (!output_->close()) return failure();
+            if (checked_) {
+                checked_->close();
+                if (!checked_->failure().empty()) return failure();
+            }
             output_.reset();
             return file_.commit();
         });
@@ -154,10 +213,12 @@ public:
 private:
     Error failure() {
         std::string why = output_->geterror();
+        if (checked_ && !checked_->failure().empty()) why = checked_->failure();
         while (!why.empty() && (why.back() == '\n' || why.back() == '.')) why.pop_back();
         return output_error(file_.destination(), why.empty() ? "cannot be written" : why);
     }
-    OutputFile file_;  // outlives the output, whose destructor may still write
+    OutputFile file_;  // these outlive the output, whose destructor may still write
+    std::unique_ptr<CheckedFile> checked_;
     std::unique_ptr<OIIO::ImageOutput> output_;
     OIIO::ImageSpec spec_;
     PixelType type_;
@@ -244,6 +305,12 @@ Result<std::unique_ptr<ImageWriter>> create_writer(const std::string& path, cons
     }
     const int threads = prepare_threads(options.threads);
     output->threads(threads);
+    std::unique_ptr<CheckedFile> checked;
+    if (output->supports("ioproxy")) {
+        checked = std::make_unique<CheckedFile>(file->temporary_path());
+        if (!checked->failure().empty()) return output_error(path, checked->failure());
+        output->set_ioproxy(checked.get());
+    }
     if (!output->open(file->temporary_path(), spec)) {
         std::string why = output->geterror();
         return output_error(path, why.empty() ? "cannot be opened for writing" : why);
@@ -254,7 +321,7 @@ Result<std::unique_ptr<ImageWriter>> create_writer(const std::string& path, cons
                                               pixel_type_name(type)));
     OIIO::ImageSpec stored = output->spec();
     return std::unique_ptr<ImageWriter>(
-        std::make_unique<OiioWriter>(std::move(*file), std::move(output), std::move(stored), type));
+        std::make_unique<OiioWriter>(std::move(*file), std::move(checked), std::move(output), std::move(stored), type));
 }
 
 }  // namespace

@@ -102,6 +102,7 @@ Result<OutputFile> OutputFile::create(const std::string& destination) {
         }
         const auto slash = target->find_last_of('/');
         std::string name = slash == std::string::npos ? *target : target->substr(slash + 1);
+        if (name.size() > NAME_MAX) return output_error(destination, errno_text(ENAMETOOLONG));
         const std::string prefix = slash == std::string::npos ? "" : target->substr(0, slash + 1);
         const auto dot = name.find_last_of('.');
         const std::string suffix = dot == std::string::npos || dot == 0 ? "" : name.substr(dot);
