@@ -172,7 +172,8 @@ Result<DifferenceStatistics> DifferenceAccumulator::finish() {
     const Status status = s.visit_values([&](std::span<const float> values) {
         for (const float v : values) {
             const std::uint32_t key = key_of(v);
-            for (std::size_t q = 0; q < quantiles.size(); ++q) lower[q][key & 0xffff] += key >> 16 == bucket[q];
+            for (std::size_t q = 0; q < quantiles.size(); ++q)
+                if (key >> 16 == bucket[q]) ++lower[q][key & 0xffff];
         }
     });
     if (!status) return status.error();

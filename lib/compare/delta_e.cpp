@@ -11,13 +11,16 @@ namespace spectex {
 namespace {
 
 constexpr double degree = std::numbers::pi / 180;
+const double cos6 = std::cos(6 * degree), sin6 = std::sin(6 * degree);
+const double cos30 = std::cos(30 * degree), sin30 = std::sin(30 * degree);
+const double cos63 = std::cos(63 * degree), sin63 = std::sin(63 * degree);
 
 double square(double x) { return x * x; }
 double distance(const Vector3& p, const Vector3& q) {
     return std::sqrt(square(p[0] - q[0]) + square(p[1] - q[1]) + square(p[2] - q[2]));
 }
 
-// Square of the metric hue difference, 2 (C1 C2 - a1 a2 - b1 b2), without its cancellation for near hues (Sève 1991, eq. 3).
+// Square of the metric hue difference, 2 (C1 C2 - a1 a2 - b1 b2), without its cancellation for near hues (Sève 1991).
 double hue_difference_squared(double a1, double b1, double c1, double a2, double b2, double c2) {
     const double dot = a1 * a2 + b1 * b2;
     if (dot > 0) return 2 * square(a1 * b2 - a2 * b1) / (c1 * c2 + dot);
@@ -81,9 +84,16 @@ double delta_e2000(const Vector3& lab_reference, const Vector3& lab_sample) {
         if (std::fabs(h1 - h2) > 180) mean_h += mean_h < 360 ? 360 : -360;
         mean_h /= 2;
     }
-    const double t = 1 - 0.17 * std::cos((mean_h - 30) * degree) + 0.24 * std::cos(2 * mean_h * degree) +
-                     0.32 * std::cos((3 * mean_h + 6) * degree) - 0.20 * std::cos((4 * mean_h - 63) * degree);  // eq. 15
-    const double rotation = 30 * std::exp(-square((mean_h - 275) / 25));                     // eq. 16
+    // Eq. 15, its multiple angles from one cosine and sine: cos(k h + p) = cos p cos k h - sin p sin k h.
+    const double c = std::cos(mean_h * degree), s = std::sin(mean_h * degree);
+    const double c2 = c * c - s * s, s2 = 2 * s * c;
+    const double c3 = c2 * c - s2 * s, s3 = s2 * c + c2 * s;
+    const double c4 = c2 * c2 - s2 * s2, s4 = 2 * s2 * c2;
+    const double t = 1 - 0.17 * (cos30 * c + sin30 * s) + 0.24 * c2 + 0.32 * (cos6 * c3 - sin6 * s3) -
+                     0.20 * (cos63 * c4 + sin63 * s4);
+    // Eq. 16; beyond 40 the exponential is below the rounding of a difference.
+    const double from_275 = square((mean_h - 275) / 25);
+    const double rotation = from_275 < 40 ? 30 * std::exp(-from_275) : 0;
     const double rc = 2 * std::sqrt(seventh(mean_cp));                                       // eq. 17
     const double from_50 = square(mean_l - 50);
     const double sl = 1 + 0.015 * from_50 / std::sqrt(20 + from_50);  // eq. 18

@@ -35,7 +35,7 @@ struct OklabSpace {
 };
 
 /// Lab of n colours, with t = `to_relative` rgb the XYZ over the white's; every instruction set gives the same bytes.
-/// Within 1e-12 of lab_from_xyz relative to the largest of 100 and |Lab|.
+/// Cube roots within 2^-50 of lab_f, relative.
 void lab_planes(const Matrix3& to_relative, std::array<const float*, 3> rgb, std::size_t n, std::array<double*, 3> lab);
 void lab_planes(const Matrix3& to_relative, std::array<const double*, 3> rgb, std::size_t n, std::array<double*, 3> lab);
 

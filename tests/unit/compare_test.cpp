@@ -265,6 +265,25 @@ TEST(Lab, white_black_and_the_join_of_its_branches) {
     EXPECT_NEAR(lab_from_xyz({0, std::pow(66.0 / 116, 3) * 100, 0}, {100, 100, 100})[0], 50, 1e-12);
 }
 
+TEST(Lab, planes_keep_to_the_scalar_formula) {
+    constexpr std::size_t n = 60001;
+    // From far below the linear branch's border, which lies at 0.0089, to far above white.
+    std::array<std::vector<double>, 3> t, lab;
+    std::mt19937 engine(12);
+    std::uniform_real_distribution<double> exponent(-12, 12);
+    for (auto& plane : t)
+        for (std::size_t i = 0; i < n; ++i) plane.push_back(std::pow(10, exponent(engine)) * (i % 9 ? 1 : -1));
+    for (auto& plane : lab) plane.resize(n);
+    lab_planes(Matrix3{}, {t[0].data(), t[1].data(), t[2].data()}, n, {lab[0].data(), lab[1].data(), lab[2].data()});
+    for (std::size_t i = 0; i < n; ++i) {
+        const Vector3 expected = lab_from_xyz({t[0][i], t[1][i], t[2][i]}, {1, 1, 1});
+        // Both roots are good to 2^-52; a* and b* subtract them at their largest.
+        double scale = 0;
+        for (std::size_t k = 0; k < 3; ++k) scale = std::max(scale, std::fabs(lab_f(t[k][i])));
+        for (std::size_t k = 0; k < 3; ++k) ASSERT_NEAR(lab[k][i], expected[k], 1e-12 + 500 * scale * 0x1p-50) << i;
+    }
+}
+
 Real lab_distance(const Vector3& x, const Vector3& y, Metric metric) {
     const auto lab = [](const Vector3& rgb) {
         std::array<Real, 3> f{};

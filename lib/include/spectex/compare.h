@@ -65,7 +65,8 @@ struct DifferenceStatistics {
 };
 
 /// Gathers differences row by row: compensated sums in row order, exact percentiles (nearest rank) in bounded memory:
-/// beyond `memory_bytes` values go to an unlinked temporary file in $TMPDIR. The result does not depend on threads or strip height.
+/// beyond `memory_bytes` values go to an unlinked temporary file in $TMPDIR. The result does not depend on threads or
+/// strip height.
 class SPECTEX_API DifferenceAccumulator {
 public:
     explicit DifferenceAccumulator(std::size_t memory_bytes = std::size_t{1} << 28);
