@@ -5,6 +5,7 @@
 // silently inside a model.
 #pragma once
 
+#include <algorithm>
 #include <memory>
 #include <optional>
 #include <span>
@@ -53,6 +54,17 @@ public:
     /// @param rgb  [n][3] linear, each in [0,1].
     /// @param out  [n][bands], dimensionless.
     virtual void reflectance(std::span<const double> rgb, std::span<double> out) const = 0;
+
+    /// Names of the channels of a coefficient texture, in order. Piecewise linear methods keep linear RGB itself.
+    virtual std::vector<std::string> coefficient_names() const { return {"R", "G", "B"}; }
+    /// What a coefficient texture keeps of n colours. @param out  [n][info().coefficients].
+    virtual void coefficients(std::span<const double> rgb, std::span<double> out) const {
+        std::copy(rgb.begin(), rgb.end(), out.begin());
+    }
+    /// Reflectances from stored coefficients. @param out  [n][bands].
+    virtual void reflectance_of_coefficients(std::span<const double> coefficients, std::span<double> out) const {
+        reflectance(coefficients, out);
+    }
 
     /// [3][bands] row-major for Pieces::linear: r = sum_i rgb_i basis_i. Null otherwise.
     virtual const std::vector<double>* basis() const { return nullptr; }

@@ -1,0 +1,164 @@
+// The whole path: files in, plans, files out. The only room that joins the others.
+//
+// Images stream through in strips of rows: reading, computing and writing overlap, memory is bounded by a few strips
+// whatever the size, and the bytes written are the same for any number of threads. Outputs appear under their names only
+// when complete; inputs are never modified. Non-finite samples become 0 (NaN, -inf) or 1 (+inf) and are counted.
+#pragma once
+
+#include <array>
+#include <cstdint>
+#include <functional>
+#include <memory>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "spectex/base.h"
+#include "spectex/color.h"
+#include "spectex/compare.h"
+#include "spectex/io.h"
+#include "spectex/methods.h"
+#include "spectex/plan.h"
+#include "spectex/spectral.h"
+
+namespace spectex {
+
+/// Called from one thread at a time with rows done and rows in all.
+using ProgressFunction = std::function<void(std::uint64_t done, std::uint64_t total)>;
+
+/// What every job takes.
+struct JobOptions {
+    int threads = 0;      ///< 0: all processors
+    bool strict = false;  ///< a non-finite sample is an error instead of a replacement
+    ProgressFunction progress;
+    std::string input_colorspace;  ///< empty: as the file says (choose_input_space)
+};
+
+/// Size and colour space of an input, and what was met in its pixels.
+struct InputReport {
+    std::string path;
+    int width = 0, height = 0;
+    std::string colorspace, colorspace_reason;
+    std::uint64_t nonfinite = 0, out_of_gamut = 0;
+    std::array<std::int64_t, 2> first_nonfinite{-1, -1};
+};
+
+/// How colours are uplifted and kept; what spxuplift and spxdiff --roundtrip share.
+struct UpliftSettings {
+    std::string method = "mallett2019";
+    Store store = Store::coefficients;
+    BandSet bands;  ///< of the stored spectra, or on which a coefficient texture's model is solved
+    ColorimetrySpec colorimetry;
+    GamutPolicy gamut = GamutPolicy::clip;
+    std::optional<PixelType> type;  ///< half or float32; by default half for 8-bit and half inputs, else float32
+};
+
+enum class Layout {
+    single,     ///< one part: R,G,B preview and bands
+    multipart,  ///< part "rgb", part "spectrum" (or "coefficients"), which Mitsuba reads
+};
+
+struct UpliftOptions {
+    JobOptions job;
+    UpliftSettings settings;
+    Layout layout = Layout::single;
+    std::string compression;  ///< empty: zip
+    bool check_all = false;   ///< measure the round trip of every pixel; otherwise of one row in sixteen
+};
+
+struct UpliftReport {
+    InputReport input;
+    std::string output;
+    std::string model;  ///< one line: method and colorimetry
+    std::vector<std::string> channels;
+    PixelType type = PixelType::half;
+    DifferenceStatistics roundtrip;  ///< CIE76 against the linearised input
+    bool checked_all = false;
+};
+
+/// A plan made and not run: what `--explain` prints.
+SPECTEX_API Result<Explanation> explain_uplift(const std::string& input, const UpliftOptions& options);
+/// Texture to spectral or coefficient EXR.
+SPECTEX_API Result<UpliftReport> uplift(const std::string& input, const std::string& output, const UpliftOptions& options);
+
+struct RelightOptions {
+    JobOptions job;
+    std::string method = "mallett2019";  ///< for RGB textures
+    ColorimetrySpec colorimetry;         ///< in which an RGB texture is understood, and the observer under the new light
+    BandSet bands;                       ///< on which the method is solved for an RGB texture
+    GamutPolicy gamut = GamutPolicy::clip;
+    std::vector<Illuminant> illuminants;
+    std::optional<std::string> observer;  ///< under the new light; by default the input's own
+    Adaptation adaptation = Adaptation::none;
+    Normalization normalization = Normalization::luminance;
+    std::string output_colorspace;        ///< empty: see RelightReport
+    std::optional<PixelType> type;
+    std::string compression;
+};
+
+struct RelightReport {
+    InputReport input;
+    FileKind kind = FileKind::image;
+    struct Output {
+        std::string path, illuminant;
+        PixelType type = PixelType::half;
+        std::string colorspace;
+        std::uint64_t clipped = 0;  ///< samples outside what an integer format holds
+    };
+    std::vector<Output> outputs;
+};
+
+SPECTEX_API Result<Explanation> explain_relight(const std::string& input, const std::vector<std::string>& outputs,
+                                                const RelightOptions& options);
+/// RGB texture, coefficient EXR or anybody's spectral EXR to one image per illuminant, in one pass.
+/// The output's space, unless said: the input's own where both are encoded integers or both are linear floats, sRGB for
+/// integer outputs, linear Rec.709 for float ones. Its type: the input's where the format can hold it.
+/// @param outputs  as many as illuminants (one for emissive inputs).
+SPECTEX_API Result<RelightReport> relight(const std::string& input, const std::vector<std::string>& outputs,
+                                          const RelightOptions& options);
+
+struct DifferenceOptions {
+    JobOptions job;
+    Metric metric = Metric::ciede2000;
+    std::string map;  ///< EXR of the differences, one float channel Y; empty: none
+    RgbMatrix matrix = RgbMatrix::integrated;
+    std::string observer = "cie1931";
+};
+
+struct DifferenceReport {
+    InputReport a, b;  ///< b is empty for a round trip
+    DifferenceStatistics statistics;
+    std::string white;  ///< which reference white and matrix were used
+    std::optional<DifferenceStatistics> standard_matrix;  ///< round trip: the same under the standard's matrix
+    std::string path;   ///< round trip: one line of what was done
+};
+
+/// Differences of two files, A the reference, each in its own colour space (spectra and coefficients as reprojected under
+/// D65), relative to integrated D65. @error input, when sizes differ.
+SPECTEX_API Result<DifferenceReport> compare_files(const std::string& a, const std::string& b,
+                                                   const DifferenceOptions& options);
+/// The whole path of uplift, storage and reprojection in memory, against the linearised input; white of the illuminant.
+SPECTEX_API Result<DifferenceReport> compare_roundtrip(const std::string& input, const UpliftSettings& settings,
+                                                       const DifferenceOptions& options);
+
+struct HeatmapOptions {
+    JobOptions job;
+    Metric metric = Metric::cie76;        ///< when two images are given
+    std::optional<std::array<double, 2>> range;  ///< empty: 0 to the 99.9th percentile, rounded up
+    std::string colormap = "magma";
+    bool legend = false;
+};
+struct HeatmapReport {
+    InputReport input;
+    double low = 0, high = 0;
+    std::uint64_t above = 0, below = 0;  ///< pixels outside the range
+    DifferenceStatistics statistics;
+    int width = 0, height = 0;           ///< of the picture
+};
+/// False-colour picture of a one-channel map (as compare_files writes), or of the differences of two images when `b` is not
+/// empty.
+SPECTEX_API Result<HeatmapReport> heatmap(const std::string& map_or_a, const std::string& b, const std::string& output,
+                                          const HeatmapOptions& options);
+
+
+}  // namespace spectex

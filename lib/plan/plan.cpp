@@ -1,0 +1,308 @@
+#include "spectex/plan.h"
+
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <cmath>
+
+#include "kernels/convert.h"
+#include "kernels/lattice.h"
+#include "kernels/linear.h"
+#include "spectex/io.h"
+#include "spectral/numeric.h"
+
+namespace spectex {
+namespace {
+
+/// Pixels that a kernel handles at a time where it needs scratch memory: the scratch stays in the second-level cache.
+constexpr std::size_t block_pixels = 1024;
+
+/// [3 images][bands]: linear RGB of the output space from a reflectance in the bands, under each illuminant.
+struct OutputWeights {
+    std::vector<double> w;
+    std::vector<Vector3> whites;  // of each illuminant, XYZ
+};
+
+/// Output RGB from XYZ: the output space's primaries and its own illuminant's white, integrated on the same bands.
+Result<Colorimetry> output_colorimetry(const BandSet& bands, const RelightRequest& request) {
+    return Colorimetry::make({request.observer, "", request.output_space, RgbMatrix::integrated}, bands);
+}
+
+std::vector<double> times(const Matrix3& m, const std::vector<double>& rows, std::size_t bands) {
+    std::vector<double> out(3 * bands);
+    for (std::size_t i = 0; i < 3; ++i)
+        for (std::size_t b = 0; b < bands; ++b)
+            out[i * bands + b] = m(i, 0) * rows[b] + m(i, 1) * rows[bands + b] + m(i, 2) * rows[2 * bands + b];
+    return out;
+}
+
+Result<OutputWeights> output_weights(const BandSet& bands, const RelightRequest& request) {
+    const auto observer = find_observer(request.observer);
+    if (!observer) return observer.error();
+    const auto output = output_colorimetry(bands, request);
+    if (!output) return output.error();
+    OutputWeights result;
+    for (const auto& illuminant : request.illuminants) {
+        const auto weights = tristimulus_weights(bands, **observer, illuminant, request.normalization);
+        if (!weights) return weights.error();
+        Matrix3 to_rgb = output->xyz_to_rgb();
+        if (request.adaptation != Adaptation::none) {
+            Vector3 white = weights->white;
+            const double y = white[1];
+            for (auto& v : white) v /= y;
+            const auto adapt = adaptation_matrix(request.adaptation, white, output->white_xyz());
+            if (!adapt)
+                return Error{adapt.error().kind, fmt::format("illuminant {}: {}", illuminant.name, adapt.error().message)};
+            to_rgb = to_rgb * *adapt;
+        }
+        const auto rows = times(to_rgb, weights->w, bands.size());
+        result.w.insert(result.w.end(), rows.begin(), rows.end());
+        result.whites.push_back(weights->white);
+    }
+    return result;
+}
+
+void explain_request(const RelightRequest& request, const OutputWeights& weights, Explanation& out) {
+    for (std::size_t k = 0; k < request.illuminants.size(); ++k) {
+        const auto& w = weights.whites[k];
+        const double sum = w[0] + w[1] + w[2];
+        out.push_back({"illuminant", fmt::format("{} ({}), white x {:.4f} y {:.4f}", request.illuminants[k].name,
+                                                 request.illuminants[k].title, w[0] / sum, w[1] / sum)});
+    }
+    if (request.adaptation == Adaptation::none) out.push_back({"adaptation", "none: the light's colour stays"});
+}
+
+/// sum over bands of a row of weights times a spectrum.
+double dot(const double* w, const double* r, std::size_t n) {
+    CompensatedSum sum;
+    for (std::size_t b = 0; b < n; ++b) sum.add(w[b] * r[b]);
+    return sum.value();
+}
+
+std::vector<bool> nonzero_columns(const std::vector<double>& w, std::size_t bands) {
+    std::vector<bool> needed(bands, false);
+    for (std::size_t i = 0; i < w.size(); ++i)
+        if (w[i] != 0) needed[i % bands] = true;
+    return needed;
+}
+
+}  // namespace
+
+RelightPlan RelightPlan::of_model(std::shared_ptr<const Model> model, std::vector<double> rows) {
+    const std::size_t n = model->colorimetry().bands().size();
+    RelightPlan plan;
+    plan.images_ = rows.size() / (3 * n);
+    plan.needed_.assign(static_cast<std::size_t>(model->info().coefficients), true);
+    if (const auto* basis = model->basis()) {
+        plan.kernel_ = Kernel::matrix;
+        for (std::size_t k = 0; k < plan.images_; ++k) {
+            Matrix3 m;
+            for (std::size_t i = 0; i < 3; ++i)
+                for (std::size_t j = 0; j < 3; ++j) m(i, j) = dot(&rows[(3 * k + i) * n], &(*basis)[j * n], n);
+            plan.matrices_.push_back(m);
+        }
+        plan.explanation_.push_back({"kernel", fmt::format("one 3x3 matrix per illuminant, exact: {} is linear in RGB",
+                                                           model->info().id)});
+        plan.explanation_.push_back({"skipped", fmt::format("forming {} bands per pixel: the integral is inside the matrix", n)});
+    } else if (const auto* lattice = model->lattice()) {
+        plan.kernel_ = Kernel::lattice;
+        auto table = std::make_shared<LatticeTable>();
+        table->knots = lattice->knots;
+        table->values = 3 * plan.images_;
+        const std::size_t vertices = lattice->vertices.size() / lattice->values;
+        table->vertices.reserve(vertices * table->values);
+        for (std::size_t v = 0; v < vertices; ++v)
+            for (std::size_t i = 0; i < table->values; ++i)
+                table->vertices.push_back(dot(&rows[i * n], &lattice->vertices[v * lattice->values], n));
+        plan.lattice_ = std::make_shared<kernels::LatticeKernel>(*table);
+        plan.table_ = std::move(table);
+        plan.explanation_.push_back(
+            {"kernel", fmt::format("tetrahedral table of {} vertices, exact: {} is linear on each tetrahedron", vertices,
+                                   model->info().id)});
+        plan.explanation_.push_back({"skipped", fmt::format("forming {} bands per pixel: the integral is inside the table", n)});
+    } else {
+        plan.kernel_ = Kernel::spectra;
+        const auto needed = nonzero_columns(rows, n);
+        plan.weights_ = std::move(rows);
+        plan.explanation_.push_back({"kernel", fmt::format("a spectrum of {} bands per pixel, integrated: {} is not linear", n,
+                                                           model->info().id)});
+        const auto unused = std::count(needed.begin(), needed.end(), false);
+        if (unused > 0) plan.explanation_.push_back({"skipped", fmt::format("{} bands of zero weight", unused)});
+        plan.model_ = std::move(model);
+    }
+    return plan;
+}
+
+RelightPlan RelightPlan::of_bands(std::size_t bands, std::vector<double> rows) {
+    RelightPlan plan;
+    plan.kernel_ = Kernel::bands;
+    plan.images_ = rows.size() / (3 * bands);
+    plan.needed_ = nonzero_columns(rows, bands);
+    plan.weights_ = std::move(rows);
+    const auto used = static_cast<std::size_t>(std::count(plan.needed_.begin(), plan.needed_.end(), true));
+    plan.explanation_.push_back({"kernel", fmt::format("weighted sums of {} stored bands, the weights integrated at 1 nm over "
+                                                       "each band's linear kernel",
+                                                       used)});
+    if (used < bands)
+        plan.explanation_.push_back({"skipped", fmt::format("{} bands of zero weight: never read", bands - used)});
+    return plan;
+}
+
+Result<RelightPlan> RelightPlan::for_model(std::shared_ptr<const Model> model, const RelightRequest& request) {
+    auto weights = output_weights(model->colorimetry().bands(), request);
+    if (!weights) return std::move(weights).error();
+    auto plan = of_model(std::move(model), std::move(weights->w));
+    explain_request(request, *weights, plan.explanation_);
+    return plan;
+}
+
+Result<RelightPlan> RelightPlan::for_reflectance(const BandSet& bands, const RelightRequest& request) {
+    auto weights = output_weights(bands, request);
+    if (!weights) return std::move(weights).error();
+    auto plan = of_bands(bands.size(), std::move(weights->w));
+    explain_request(request, *weights, plan.explanation_);
+    return plan;
+}
+
+RelightPlan RelightPlan::as_stored(std::shared_ptr<const Model> model, bool from_bands) {
+    const auto& colorimetry = model->colorimetry();
+    if (from_bands) return of_bands(colorimetry.bands().size(), colorimetry.sensing_matrix());
+    return of_model(model, colorimetry.sensing_matrix());
+}
+
+Result<RelightPlan> RelightPlan::for_emission(const BandSet& bands, const RelightRequest& request) {
+    const auto observer = find_observer(request.observer);
+    if (!observer) return observer.error();
+    const auto output = output_colorimetry(bands, request);
+    if (!output) return output.error();
+    auto weights = emission_weights(bands, **observer);
+    if (!(weights.white[1] > 0))
+        return Error{ErrorKind::input, fmt::format("emissive bands {}: none lies where {} sees", bands.describe(),
+                                                   (*observer)->title)};
+    for (auto& w : weights.w) w /= weights.white[1];
+    auto plan = of_bands(bands.size(), times(output->xyz_to_rgb(), weights.w, bands.size()));
+    plan.explanation_.push_back({"emission", "radiance is reprojected by the observer, not lit"});
+    return plan;
+}
+
+const Matrix3* RelightPlan::matrix(std::size_t image) const {
+    return kernel_ == Kernel::matrix && image < matrices_.size() ? &matrices_[image] : nullptr;
+}
+
+void RelightPlan::execute(std::span<const float* const> in, std::size_t n, std::span<float* const> out) const {
+    switch (kernel_) {
+    case Kernel::matrix:
+        for (std::size_t k = 0; k < images_; ++k)
+            kernels::matrix3(matrices_[k], {in[0], in[1], in[2]}, n, {out[3 * k], out[3 * k + 1], out[3 * k + 2]});
+        return;
+    case Kernel::lattice:
+        (*lattice_)({in[0], in[1], in[2]}, n, out.data());
+        return;
+    case Kernel::bands:
+        kernels::integrate_bands(in, n, weights_, 3 * images_, out.data());
+        return;
+    case Kernel::spectra: {
+        const auto& model = *model_;
+        const std::size_t bands = model.colorimetry().bands().size(), c = in.size();
+        std::vector<double> coefficients(c * block_pixels), spectra(bands * block_pixels);
+        for (std::size_t begin = 0; begin < n; begin += block_pixels) {
+            const std::size_t count = std::min(block_pixels, n - begin);
+            for (std::size_t p = 0; p < count; ++p)
+                for (std::size_t i = 0; i < c; ++i) coefficients[p * c + i] = in[i][begin + p];
+            model.reflectance_of_coefficients({coefficients.data(), c * count}, {spectra.data(), bands * count});
+            for (std::size_t p = 0; p < count; ++p)
+                for (std::size_t j = 0; j < 3 * images_; ++j)
+                    out[j][begin + p] = static_cast<float>(dot(&weights_[j * bands], &spectra[p * bands], bands));
+        }
+        return;
+    }
+    }
+}
+
+Result<StorePlan> StorePlan::make(std::shared_ptr<const Model> model, Store store, PixelType type) {
+    const auto& colorimetry = model->colorimetry();
+    if (type != PixelType::half && type != PixelType::float32)
+        return Error{ErrorKind::usage, fmt::format("spectra and coefficients are stored as half or float, not {}",
+                                                   pixel_type_name(type))};
+    StorePlan plan(RelightPlan::as_stored(model, store == Store::spectral));
+    plan.model_ = model;
+    plan.store_ = store;
+    plan.type_ = type;
+    const auto bands = colorimetry.bands().size();
+    if (store == Store::coefficients) {
+        plan.names_ = model->coefficient_names();
+        plan.explanation_.push_back({"store", fmt::format("{} coefficients per texel as {}, the model in the header",
+                                                          plan.names_.size(), pixel_type_name(type))});
+        plan.explanation_.push_back({"skipped", fmt::format("writing {} bands: a reader forms those it needs", bands)});
+    } else {
+        for (const double nm : colorimetry.bands().wavelengths_nm()) plan.names_.push_back(spectral_channel_name("T", nm));
+        plan.explanation_.push_back({"store", fmt::format("{} bands per texel as {}, solved for the weights of this very band set",
+                                                          bands, pixel_type_name(type))});
+        plan.explanation_.push_back(
+            {"kernel", model->basis() ? "linear combination of three spectra" : "spectra evaluated per pixel"});
+    }
+    return plan;
+}
+
+void StorePlan::store(std::array<const float*, 3> rgb, std::size_t n, std::span<std::byte* const> planes) const {
+    const auto emit = [&](const float* from, std::size_t count, std::size_t channel, std::size_t at) {
+        if (type_ == PixelType::half)
+            kernels::float_to_half(from, count, reinterpret_cast<std::uint16_t*>(planes[channel]) + at, 1);
+        else
+            std::copy_n(from, count, reinterpret_cast<float*>(planes[channel]) + at);
+    };
+    if (store_ == Store::spectral && model_->basis()) {
+        if (type_ == PixelType::half) {
+            std::vector<std::uint16_t*> out(planes.size());
+            for (std::size_t i = 0; i < out.size(); ++i) out[i] = reinterpret_cast<std::uint16_t*>(planes[i]);
+            kernels::combine_basis(rgb, n, *model_->basis(), 0, out.size(), out.data());
+        } else {
+            std::vector<float*> out(planes.size());
+            for (std::size_t i = 0; i < out.size(); ++i) out[i] = reinterpret_cast<float*>(planes[i]);
+            kernels::combine_basis(rgb, n, *model_->basis(), 0, out.size(), out.data());
+        }
+        return;
+    }
+    if (store_ == Store::coefficients && model_->info().pieces != Pieces::nonlinear) {
+        for (std::size_t i = 0; i < 3; ++i) emit(rgb[i], n, i, 0);
+        return;
+    }
+    const std::size_t values = planes.size();
+    std::vector<double> colors(3 * block_pixels), computed(values * block_pixels);
+    std::vector<float> plane(block_pixels);
+    for (std::size_t begin = 0; begin < n; begin += block_pixels) {
+        const std::size_t count = std::min(block_pixels, n - begin);
+        for (std::size_t p = 0; p < count; ++p)
+            for (std::size_t i = 0; i < 3; ++i) colors[3 * p + i] = rgb[i][begin + p];
+        if (store_ == Store::coefficients)
+            model_->coefficients({colors.data(), 3 * count}, {computed.data(), values * count});
+        else
+            model_->reflectance({colors.data(), 3 * count}, {computed.data(), values * count});
+        for (std::size_t i = 0; i < values; ++i) {
+            for (std::size_t p = 0; p < count; ++p) plane[p] = static_cast<float>(computed[p * values + i]);
+            emit(plane.data(), count, i, begin);
+        }
+    }
+}
+
+void StorePlan::reproject(std::span<const std::byte* const> planes, std::size_t n, std::array<float*, 3> rgb) const {
+    std::vector<float> widened;
+    std::vector<const float*> in(planes.size());
+    if (type_ == PixelType::half) widened.resize(planes.size() * block_pixels);
+    for (std::size_t begin = 0; begin < n; begin += block_pixels) {
+        const std::size_t count = std::min(block_pixels, n - begin);
+        for (std::size_t i = 0; i < planes.size(); ++i) {
+            if (type_ == PixelType::half) {
+                float* out = &widened[i * block_pixels];
+                kernels::half_to_float(reinterpret_cast<const std::uint16_t*>(planes[i]) + begin, 1, count, out);
+                in[i] = out;
+            } else {
+                in[i] = reinterpret_cast<const float*>(planes[i]) + begin;
+            }
+        }
+        const std::array<float*, 3> out{rgb[0] + begin, rgb[1] + begin, rgb[2] + begin};
+        reader_.execute(in, count, out);
+    }
+}
+
+}  // namespace spectex
