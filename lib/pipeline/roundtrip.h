@@ -1,0 +1,73 @@
+// A texture on its way into storage and back: what uplift, and the measure of its round trip, share.
+#pragma once
+
+#include <limits>
+#include <memory>
+#include <mutex>
+#include <span>
+
+#include "pipeline/source.h"
+#include "spectex/pipeline.h"
+
+namespace spectex::pipeline {
+
+/// Buffers of one thread.
+struct Scratch {
+    std::vector<std::vector<float>> decode;
+    std::array<std::vector<float>, 3> input;  ///< linearised input, as it was
+    std::array<std::vector<float>, 3> rgb;    ///< the same, finite and inside the gamut
+    std::array<std::vector<float>, 3> back;   ///< what a reader of the stored samples gets
+};
+
+/// Of one group of pixels.
+struct Counts {
+    std::uint64_t nonfinite = 0, out_of_gamut = 0;
+    std::size_t first_nonfinite = std::numeric_limits<std::size_t>::max();  ///< index within the strip
+};
+
+/// Sums over groups that finish in any order.
+class CountTotals {
+public:
+    void add(const Counts& counts, int strip_y, int width);
+    void put_into(InputReport& report) const;
+
+private:
+    std::mutex mutex_;
+    std::uint64_t nonfinite_ = 0, out_of_gamut_ = 0, first_ = std::numeric_limits<std::uint64_t>::max();
+};
+
+/// An opened texture with the model and the plan by which it is stored.
+struct UpliftSetup {
+    static Result<UpliftSetup> make(const std::string& input, const UpliftSettings& settings, const JobOptions& job);
+
+    std::unique_ptr<StripSource> source;
+    std::shared_ptr<const Model> model;
+    StorePlan plan;
+    GamutPolicy gamut;
+
+    /// Pixels [begin, begin + n) of the strip at row y to stored samples; leaves the linearised input and the mapped colours in scratch.
+    Status convert(const RawStrip& raw, int y, std::size_t begin, std::size_t n, Scratch& scratch, std::span<std::byte* const> planes,
+                   Counts& counts) const;
+    /// Stored samples to scratch.back.
+    void reproject(std::span<const std::byte* const> planes, std::size_t n, Scratch& scratch) const;
+    /// Colours by another plan of the same model to scratch.back, no component below 0.
+    void preview(const RelightPlan& to_preview, std::array<const float*, 3> rgb, std::size_t n, Scratch& scratch) const;
+    Explanation explanation() const;
+
+private:
+    UpliftSetup(std::unique_ptr<StripSource> s, std::shared_ptr<const Model> m, StorePlan p, GamutPolicy g)
+        : source(std::move(s)), model(std::move(m)), plan(std::move(p)), gamut(g) {}
+};
+
+/// Round trip of a run of pixels that convert() has just stored.
+/// @param planes  where the group's samples begin; @param offset  of the run within the group.
+void measure_row(const UpliftSetup& setup, const DifferenceKernel& kernel, Scratch& scratch, std::span<std::byte* const> planes,
+                 std::size_t offset, std::size_t n, float* difference, std::uint64_t& changed);
+
+/// @error input, under strict, when any pixel was not finite.
+Status check_strict(const JobOptions& job, const InputReport& report);
+
+/// Model coefficients of colours as planes, for plans that take them.
+void coefficient_planes(const Model& model, std::array<const float*, 3> rgb, std::size_t n, std::vector<std::vector<float>>& out);
+
+}  // namespace spectex::pipeline

@@ -1,0 +1,408 @@
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <limits>
+
+#include "kernels/convert.h"
+#include "pipeline/roundtrip.h"
+#include "pipeline/source.h"
+#include "pipeline/strips.h"
+
+namespace spectex {
+namespace {
+
+using namespace pipeline;
+
+/// Without --check, one row in so many is measured: enough to put a figure into the header at a few percent of the time.
+constexpr int sampled_row_stride = 16;
+
+/// A fixed-width text that the writer replaces once the figures are known.
+constexpr std::size_t roundtrip_text_size = 160;
+
+std::string padded(std::string text) {
+    text.resize(roundtrip_text_size, ' ');
+    return text;
+}
+
+std::string roundtrip_text(const DifferenceStatistics& s, bool all) {
+    return padded(fmt::format("CIE76 mean {:.6g} p99 {:.6g} max {:.6g} changed8bit {} over {} pixels, {}", s.mean, s.p99, s.max,
+                              s.changed_codes, s.pixels, all ? "all rows" : fmt::format("every {}th row", sampled_row_stride)));
+}
+
+/// R, G, B preview: the stored reflectance under D65 for CIE 1931, linear BT.709.
+Result<RelightPlan> preview_plan(const std::shared_ptr<const Model>& model) {
+    RelightRequest request;
+    auto d65 = parse_illuminant("D65");
+    if (!d65) return std::move(d65).error();
+    request.illuminants = {*std::move(d65)};
+    return RelightPlan::for_model(model, request);
+}
+
+struct Layouts {
+    std::vector<ExrPart> parts;
+    std::vector<std::size_t> order;  ///< for each plane handed to the writer, its index in the strip's planes
+};
+
+}  // namespace
+
+namespace pipeline {
+
+Result<UpliftSetup> UpliftSetup::make(const std::string& input, const UpliftSettings& settings, const JobOptions& job) {
+    const auto kind = probe(input);
+    if (!kind) return kind.error();
+    if (*kind != FileKind::image)
+        return Error{ErrorKind::input, fmt::format("{}: holds {} already: expected an RGB texture", input,
+                                                   *kind == FileKind::spectral ? "spectra" : "coefficients")};
+    auto colorimetry = Colorimetry::make(settings.colorimetry, settings.bands);
+    if (!colorimetry) return std::move(colorimetry).error();
+    auto model = make_model(settings.method, *colorimetry);
+    if (!model) return std::move(model).error();
+    auto source = open_image_source(input, colorimetry->rgb_space(), job);
+    if (!source) return std::move(source).error();
+    const PixelType by_default = (*source)->type() == PixelType::uint8 || (*source)->type() == PixelType::half
+                                     ? PixelType::half
+                                     : PixelType::float32;
+    auto plan = StorePlan::make(*model, settings.store, settings.type.value_or(by_default));
+    if (!plan) return std::move(plan).error();
+    return UpliftSetup(*std::move(source), *std::move(model), *std::move(plan), settings.gamut);
+}
+
+Status UpliftSetup::convert(const RawStrip& raw, int y, std::size_t begin, std::size_t n, Scratch& scratch,
+                            std::span<std::byte* const> planes, Counts& counts) const {
+    std::vector<const float*> decoded;
+    source->decode(raw, begin, n, scratch.decode, decoded);
+    for (std::size_t c = 0; c < 3; ++c) {
+        scratch.rgb[c].resize(std::max(scratch.rgb[c].size(), n));
+        scratch.input[c].resize(std::max(scratch.input[c].size(), n));
+        std::copy_n(decoded[c], n, scratch.input[c].data());
+        std::copy_n(decoded[c], n, scratch.rgb[c].data());
+    }
+    const auto& to_xyz = model->colorimetry().rgb_to_xyz();
+    GamutCounts gamut_counts;
+    const std::array<float*, 3> rgb{scratch.rgb[0].data(), scratch.rgb[1].data(), scratch.rgb[2].data()};
+    std::uint64_t replaced = 0;
+    if (const auto first = replace_nonfinite(rgb, n, replaced); replaced > 0)
+        counts.first_nonfinite = std::min(counts.first_nonfinite, begin + first);
+    const auto outside = map_into_gamut(rgb, n, gamut, {to_xyz(1, 0), to_xyz(1, 1), to_xyz(1, 2)}, gamut_counts);
+    counts.nonfinite += replaced;
+    counts.out_of_gamut += gamut_counts.out_of_gamut;
+    if (outside) {
+        const auto width = static_cast<std::size_t>(source->geometry().width);
+        const std::size_t p = begin + *outside;
+        return Error{ErrorKind::input,
+                     fmt::format("pixel {},{} is ({}, {}, {}) in linear {}: expected 0 to 1, where reflectances lie; "
+                                 "--gamut clip or desaturate maps it",
+                                 p % width, p / width + static_cast<std::size_t>(y), scratch.input[0][*outside], scratch.input[1][*outside],
+                                 scratch.input[2][*outside], model->colorimetry().rgb_space().name)};
+    }
+    plan.store({rgb[0], rgb[1], rgb[2]}, n, planes);
+    return {};
+}
+
+void UpliftSetup::reproject(std::span<const std::byte* const> planes, std::size_t n, Scratch& scratch) const {
+    for (auto& plane : scratch.back) plane.resize(std::max(plane.size(), n));
+    plan.reproject(planes, n, {scratch.back[0].data(), scratch.back[1].data(), scratch.back[2].data()});
+}
+
+void coefficient_planes(const Model& model, std::array<const float*, 3> rgb, std::size_t n, std::vector<std::vector<float>>& out) {
+    const auto count = static_cast<std::size_t>(model.info().coefficients);
+    out.resize(count);
+    for (auto& plane : out) plane.resize(std::max(plane.size(), n));
+    if (model.info().pieces != Pieces::nonlinear) {
+        for (std::size_t i = 0; i < 3; ++i) std::copy_n(rgb[i], n, out[i].data());
+        return;
+    }
+    std::vector<double> colors(3 * n), coefficients(count * n);
+    for (std::size_t p = 0; p < n; ++p)
+        for (std::size_t i = 0; i < 3; ++i) colors[3 * p + i] = rgb[i][p];
+    model.coefficients(colors, coefficients);
+    for (std::size_t i = 0; i < count; ++i)
+        for (std::size_t p = 0; p < n; ++p) out[i][p] = static_cast<float>(coefficients[p * count + i]);
+}
+
+void UpliftSetup::preview(const RelightPlan& to_preview, std::array<const float*, 3> rgb, std::size_t n, Scratch& scratch) const {
+    std::vector<std::vector<float>> coefficients;
+    coefficient_planes(*model, rgb, n, coefficients);
+    std::vector<const float*> in;
+    for (const auto& plane : coefficients) in.push_back(plane.data());
+    for (auto& plane : scratch.back) plane.resize(std::max(plane.size(), n));
+    const std::array<float*, 3> out{scratch.back[0].data(), scratch.back[1].data(), scratch.back[2].data()};
+    to_preview.execute(in, n, out);
+    for (float* plane : out)
+        for (std::size_t p = 0; p < n; ++p) plane[p] = std::max(plane[p], 0.0f);
+}
+
+void measure_row(const UpliftSetup& setup, const DifferenceKernel& kernel, Scratch& scratch, std::span<std::byte* const> planes,
+                 std::size_t offset, std::size_t n, float* difference, std::uint64_t& changed) {
+    std::vector<const std::byte*> run;
+    const std::size_t size = pixel_bytes(setup.plan.type());
+    for (const std::byte* plane : planes) run.push_back(plane + offset * size);
+    setup.reproject(run, n, scratch);
+    const std::array<const float*, 3> a{scratch.input[0].data() + offset, scratch.input[1].data() + offset,
+                                        scratch.input[2].data() + offset};
+    const std::array<const float*, 3> b{scratch.back[0].data(), scratch.back[1].data(), scratch.back[2].data()};
+    kernel(a, b, n, difference);
+    changed = count_changed_codes(a, b, n);
+}
+
+Explanation UpliftSetup::explanation() const {
+    Explanation lines = source->explanation();
+    lines.push_back({"method", fmt::format("{}: {}", model->info().id, model->info().source)});
+    lines.push_back({"colorimetry", model->colorimetry().describe()});
+    lines.push_back({"outside [0,1]", gamut == GamutPolicy::clip         ? "each component clipped, counted"
+                                      : gamut == GamutPolicy::desaturate ? "towards the grey of the same luminance, counted"
+                                                                         : "an error"});
+    lines.insert(lines.end(), plan.explanation().begin(), plan.explanation().end());
+    return lines;
+}
+
+Status check_strict(const JobOptions& job, const InputReport& report) {
+    if (!job.strict || report.nonfinite == 0) return {};
+    return Error{ErrorKind::input,
+                 fmt::format("{}: {} pixels are not finite, the first at {},{}: expected numbers, with --strict", report.path,
+                             report.nonfinite, report.first_nonfinite[0], report.first_nonfinite[1])};
+}
+
+void CountTotals::add(const Counts& counts, int strip_y, int width) {
+    const std::lock_guard lock(mutex_);
+    nonfinite_ += counts.nonfinite;
+    out_of_gamut_ += counts.out_of_gamut;
+    if (counts.first_nonfinite != std::numeric_limits<std::size_t>::max())
+        first_ = std::min(first_, static_cast<std::uint64_t>(strip_y) * static_cast<std::uint64_t>(width) + counts.first_nonfinite);
+}
+
+void CountTotals::put_into(InputReport& report) const {
+    report.nonfinite = nonfinite_;
+    report.out_of_gamut = out_of_gamut_;
+    if (nonfinite_ > 0) {
+        const auto width = static_cast<std::uint64_t>(report.width);
+        report.first_nonfinite = {static_cast<std::int64_t>(first_ % width), static_cast<std::int64_t>(first_ / width)};
+    }
+}
+
+}  // namespace pipeline
+
+namespace {
+
+Layouts lay_out(const UpliftSetup& setup, const UpliftOptions& options, bool preview) {
+    const auto& colorimetry = setup.model->colorimetry();
+    const PixelType type = setup.plan.type();
+    Attributes common = setup.source->metadata();
+    common["spectex:version"] = std::string(version());
+    common["spectex:method"] = setup.model->info().id;
+    common["spectex:observer"] = colorimetry.observer().id;
+    common["spectex:illuminant"] = colorimetry.illuminant().name;
+    common["spectex:rgbSpace"] = colorimetry.rgb_space().name;
+    common["spectex:matrix"] = std::string("integrated");
+    common["spectex:alpha"] = std::string(setup.source->alpha_associated() ? "associated" : "straight");
+    common["spectex:roundtrip"] = padded("not measured");
+
+    ExrPart color, data;
+    std::vector<std::size_t> color_planes, data_planes;
+    const std::size_t stored = setup.plan.channels();
+    if (options.settings.store == Store::coefficients) {
+        common["spectex:coefficients"] = fmt::format("{}", fmt::join(setup.plan.channel_names(), ","));
+        common["spectex:model"] = setup.model->to_json();
+        for (std::size_t i = 0; i < stored; ++i) {
+            data.channels.push_back({setup.plan.channel_names()[i], type});
+            data_planes.push_back(i);
+        }
+        // Piecewise linear methods store linear RGB itself: any viewer shows it, in its own primaries.
+        if (setup.model->info().pieces != Pieces::nonlinear && colorimetry.rgb_space().name != "BT.709") {
+            std::vector<float> xy;
+            for (const auto& p : colorimetry.rgb_space().primaries_xy)
+                for (const double v : p) xy.push_back(static_cast<float>(v));
+            for (const double v : colorimetry.rgb_space().white_xy) xy.push_back(static_cast<float>(v));
+            common["chromaticities"] = xy;
+        }
+    } else {
+        common["spectralLayoutVersion"] = std::string("1.0");
+        common["EV"] = 0.0f;
+        common["spectex:kernel"] = std::string("linear");
+        for (std::size_t i = 0; i < stored; ++i) {
+            data.channels.push_back({setup.plan.channel_names()[i], type});
+            data_planes.push_back(i);
+        }
+    }
+    if (preview)
+        for (std::size_t i = 0; i < 3; ++i) {
+            color.channels.push_back({std::string(1, "RGB"[i]), type});
+            color_planes.push_back(stored + i);
+        }
+    const std::size_t first_other = stored + (preview ? 3 : 0);
+    const auto& others = setup.source->others();
+    for (std::size_t i = 0; i < others.size(); ++i) {
+        // One pixel type for all where no value can change by it; a float AOV keeps its floats.
+        const bool wide = others[i].type == PixelType::float32 || (others[i].type == PixelType::uint16 && others[i].name != "A");
+        color.channels.push_back({others[i].name, wide ? PixelType::float32 : type});
+        color_planes.push_back(first_other + i);
+    }
+
+    Layouts result;
+    if (options.layout == Layout::single || color.channels.empty()) {
+        ExrPart part;
+        part.name = options.settings.store == Store::spectral ? "spectrum" : "coefficients";
+        part.attributes = common;
+        part.channels = color.channels;
+        part.channels.insert(part.channels.end(), data.channels.begin(), data.channels.end());
+        result.order = color_planes;
+        result.order.insert(result.order.end(), data_planes.begin(), data_planes.end());
+        result.parts = {std::move(part)};
+    } else {
+        color.name = "rgb";
+        color.attributes = setup.source->metadata();
+        data.name = options.settings.store == Store::spectral ? "spectrum" : "coefficients";
+        data.attributes = common;
+        result.order = color_planes;
+        result.order.insert(result.order.end(), data_planes.begin(), data_planes.end());
+        result.parts = {std::move(color), std::move(data)};
+    }
+    return result;
+}
+
+bool has_suffix(const std::string& path, std::string_view suffix) {
+    if (path.size() < suffix.size()) return false;
+    for (std::size_t i = 0; i < suffix.size(); ++i) {
+        const char c = path[path.size() - suffix.size() + i];
+        if ((c >= 'A' && c <= 'Z' ? static_cast<char>(c - 'A' + 'a') : c) != suffix[i]) return false;
+    }
+    return true;
+}
+
+}  // namespace
+
+Result<Explanation> explain_uplift(const std::string& input, const UpliftOptions& options) {
+    const auto setup = UpliftSetup::make(input, options.settings, options.job);
+    if (!setup) return setup.error();
+    auto lines = setup->explanation();
+    lines.push_back({"check", options.check_all ? "round trip of every pixel" : "round trip of every 16th row, into the header"});
+    return lines;
+}
+
+Result<UpliftReport> uplift(const std::string& input, const std::string& output, const UpliftOptions& options) {
+    if (!has_suffix(output, ".exr"))
+        return Error{ErrorKind::usage, fmt::format("{}: spectra and coefficients are stored as OpenEXR: expected a name that ends "
+                                                   "in .exr",
+                                                   output)};
+    if (same_file(input, output)) return Error{ErrorKind::usage, fmt::format("{}: the output is the input itself", output)};
+    auto setup = UpliftSetup::make(input, options.settings, options.job);
+    if (!setup) return std::move(setup).error();
+    const bool spectral = options.settings.store == Store::spectral;
+    const bool linear = setup->model->info().pieces != Pieces::nonlinear;
+    // Spectra, and coefficients that no viewer can show beside a colour part, get a preview.
+    const bool preview = spectral || (options.layout == Layout::multipart && !linear) || (!spectral && !linear);
+    std::optional<RelightPlan> to_preview;
+    if (preview) {
+        auto plan = preview_plan(setup->model);
+        if (!plan) return std::move(plan).error();
+        to_preview = *std::move(plan);
+    }
+    const Layouts layout = lay_out(*setup, options, preview);
+    const auto& geometry = setup->source->geometry();
+    const PixelType type = setup->plan.type();
+    auto writer = ExrWriter::create(output, geometry, layout.parts, {type, options.compression, options.job.threads});
+    if (!writer) return std::move(writer).error();
+
+    const std::size_t stored = setup->plan.channels(), first_other = stored + (preview ? 3u : 0u);
+    const auto& others = setup->source->others();
+    std::vector<PixelType> types(first_other + others.size(), type);
+    {
+        std::size_t at = 0;
+        for (const auto& part : layout.parts)
+            for (const auto& channel : part.channels) types[layout.order[at++]] = channel.type;
+    }
+    const int width = geometry.width, stride = options.check_all ? 1 : sampled_row_stride;
+    struct Buffers {
+        RawStrip raw;
+        std::vector<std::vector<std::byte>> planes;
+        std::vector<float> difference;
+        std::vector<std::uint64_t> changed;
+    };
+    std::size_t row_bytes = setup->source->raw_bytes_per_row();
+    for (const auto t : types) row_bytes += static_cast<std::size_t>(width) * pixel_bytes(t);
+    const int rows = rows_per_strip(setup->source->preferred_rows(), row_bytes, geometry.height);
+
+    const auto& colorimetry = setup->model->colorimetry();
+    const DifferenceKernel difference(Metric::cie76, colorimetry.rgb_to_xyz(), colorimetry.rgb_to_xyz(), colorimetry.white_xyz());
+    DifferenceAccumulator accumulator;
+    CountTotals totals;
+
+    const auto status = run_strips(
+        options.job, geometry.height, rows, [] { return Buffers{}; },
+        [&](Buffers& b, int y, int n) { return setup->source->read(y, n, b.raw); },
+        [&](Buffers& b, int y, int n) -> Status {
+            const std::size_t pixels = static_cast<std::size_t>(width) * static_cast<std::size_t>(n);
+            b.planes.resize(types.size());
+            for (std::size_t i = 0; i < types.size(); ++i) b.planes[i].resize(pixels * pixel_bytes(types[i]));
+            b.difference.resize(pixels);
+            b.changed.assign(static_cast<std::size_t>(n), 0);
+            FirstError error;
+            for_row_groups(n, width, [&](int first, int count) {
+                thread_local Scratch scratch;
+                const std::size_t begin = static_cast<std::size_t>(first) * static_cast<std::size_t>(width);
+                const std::size_t size = static_cast<std::size_t>(count) * static_cast<std::size_t>(width);
+                std::vector<std::byte*> planes(stored);
+                for (std::size_t i = 0; i < stored; ++i) planes[i] = b.planes[i].data() + begin * pixel_bytes(types[i]);
+                Counts counts;
+                error.check(setup->convert(b.raw, y, begin, size, scratch, planes, counts));
+                totals.add(counts, y, width);
+                if (to_preview) {
+                    const std::array<const float*, 3> rgb{scratch.rgb[0].data(), scratch.rgb[1].data(), scratch.rgb[2].data()};
+                    setup->preview(*to_preview, rgb, size, scratch);
+                    for (std::size_t i = 0; i < 3; ++i)
+                        convert_samples(reinterpret_cast<const std::byte*>(scratch.back[i].data()), PixelType::float32, size,
+                                        b.planes[stored + i].data() + begin * pixel_bytes(type), type);
+                }
+                std::vector<std::byte> other;
+                for (std::size_t i = 0; i < others.size(); ++i) {
+                    other.resize(size * pixel_bytes(others[i].type));
+                    setup->source->copy_other(b.raw, i, begin, size, other.data());
+                    const auto to = types[first_other + i];
+                    convert_samples(other.data(), others[i].type, size, b.planes[first_other + i].data() + begin * pixel_bytes(to), to);
+                }
+                for (int row = first; row < first + count; ++row) {
+                    if ((y + row) % stride != 0) continue;
+                    const std::size_t at = static_cast<std::size_t>(row) * static_cast<std::size_t>(width);
+                    measure_row(*setup, difference, scratch, planes, at - begin, static_cast<std::size_t>(width),
+                                b.difference.data() + at, b.changed[static_cast<std::size_t>(row)]);
+                }
+            });
+            return error.status();
+        },
+        [&](Buffers& b, int y, int n) -> Status {
+            for (int row = 0; row < n; ++row) {
+                if ((y + row) % stride != 0) continue;
+                const std::size_t at = static_cast<std::size_t>(row) * static_cast<std::size_t>(width);
+                if (auto s = accumulator.add_row(y + row, {b.difference.data() + at, static_cast<std::size_t>(width)}); !s) return s;
+                accumulator.add_changed_codes(b.changed[static_cast<std::size_t>(row)]);
+            }
+            std::vector<const std::byte*> planes;
+            for (const std::size_t i : layout.order) planes.push_back(b.planes[i].data());
+            return (*writer)->write_rows(y, n, planes);
+        });
+    if (!status) {
+        const auto& e = status.error();
+        const bool named = e.message.find(input) != std::string::npos || e.message.find(output) != std::string::npos;
+        return named ? e : Error{e.kind, fmt::format("{}: {}", input, e.message)};
+    }
+
+    UpliftReport report;
+    report.input = setup->source->report();
+    totals.put_into(report.input);
+    if (auto s = check_strict(options.job, report.input); !s) return s.error();
+    auto statistics = accumulator.finish();
+    if (!statistics) return std::move(statistics).error();
+    report.roundtrip = *std::move(statistics);
+    report.checked_all = options.check_all;
+    if (auto s = (*writer)->replace_text("spectex:roundtrip", roundtrip_text(report.roundtrip, options.check_all)); !s)
+        return s.error();
+    if (auto s = (*writer)->commit(); !s) return s.error();
+    report.output = output;
+    report.model = fmt::format("{}, {}", setup->model->info().id, colorimetry.describe());
+    for (const auto& part : layout.parts)
+        for (const auto& channel : part.channels) report.channels.push_back(channel.name);
+    report.type = type;
+    return report;
+}
+
+}  // namespace spectex
