@@ -51,6 +51,7 @@ public:
     ~ExrOutput();
     /// @param layouts  one per channel over all parts.
     Status write(int y, int rows, const std::vector<SampleLayout>& layouts);
+    Status replace_text(const std::string& attribute, const std::string& text);
     Status commit();
     const std::vector<ExrPart>& parts() const { return parts_; }
     int width() const { return geometry_.width; }
@@ -65,6 +66,8 @@ private:
     std::unique_ptr<Imf::MultiPartOutputFile> output_;
     std::vector<Imf::OutputPart> outputs_;
     int next_row_ = 0;
+    std::size_t header_bytes_ = 0;  // of headers and offset tables, ahead of the pixels
+    std::vector<std::pair<std::string, std::string>> replacements_;  // bytes of an attribute as they stand, as they shall
 };
 
 }  // namespace spectex::io

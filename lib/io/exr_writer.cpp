@@ -10,8 +10,10 @@
 #include <fcntl.h>
 #include <unistd.h>
 
+#include <algorithm>
 #include <array>
 #include <cmath>
+#include <fstream>
 #include <limits>
 #include <set>
 #include <stdexcept>
@@ -189,6 +191,7 @@ Result<std::unique_ptr<ExrOutput>> ExrOutput::create(const std::string& path, co
         self->stream_ = std::make_unique<DescriptorStream>(self->file_.temporary_path());
         self->output_ = std::make_unique<Imf::MultiPartOutputFile>(
             *self->stream_, self->headers_.data(), static_cast<int>(self->headers_.size()), false, threads > 1 ? threads : 0);
+        self->header_bytes_ = static_cast<std::size_t>(self->stream_->tellp());
         for (int i = 0; i < static_cast<int>(parts.size()); ++i) self->outputs_.emplace_back(*self->output_, i);
         return self;
     });
@@ -230,6 +233,54 @@ Status ExrOutput::write(int y, int rows, const std::vector<SampleLayout>& layout
     });
 }
 
+namespace {
+
+/// A string attribute as the file holds it: name, type, size, text.
+std::string string_attribute_bytes(const std::string& name, const std::string& text) {
+    std::string bytes = name + '\0' + "string" + '\0';
+    for (int shift = 0; shift < 32; shift += 8) bytes += static_cast<char>((text.size() >> shift) & 0xff);
+    return bytes + text;
+}
+
+/// Replaces byte strings by others of their lengths within a file's first `limit` bytes.
+std::optional<std::string> replace_bytes(const std::string& path, std::size_t limit,
+                                         const std::vector<std::pair<std::string, std::string>>& replacements) {
+    std::fstream file(path, std::ios::in | std::ios::out | std::ios::binary);
+    std::string head(limit, '\0');
+    file.read(head.data(), static_cast<std::streamsize>(limit));
+    head.resize(static_cast<std::size_t>(file.gcount()));
+    file.clear();
+    for (const auto& [from, to] : replacements)
+        for (std::size_t at = head.find(from); at != std::string::npos; at = head.find(from, at + from.size())) {
+            file.seekp(static_cast<std::streamoff>(at));
+            file.write(to.data(), static_cast<std::streamsize>(to.size()));
+        }
+    file.close();
+    if (file.fail()) return "the header's figures cannot be written";
+    return std::nullopt;
+}
+
+}  // namespace
+
+Status ExrOutput::replace_text(const std::string& attribute, const std::string& text) {
+    bool found = false;
+    for (ExrPart& part : parts_) {
+        const auto at = part.attributes.find(attribute);
+        const auto* old = at == part.attributes.end() ? nullptr : std::get_if<std::string>(&at->second);
+        if (!old) continue;
+        if (old->size() != text.size())
+            return output_error(file_.destination(), fmt::format("attribute '{}' has {} bytes, its replacement {}", attribute,
+                                                                 old->size(), text.size()));
+        const std::pair<std::string, std::string> change{string_attribute_bytes(attribute, *old),
+                                                         string_attribute_bytes(attribute, text)};
+        if (std::find(replacements_.begin(), replacements_.end(), change) == replacements_.end())
+            replacements_.push_back(change);
+        found = true;
+    }
+    if (found) return {};
+    return output_error(file_.destination(), fmt::format("has no string attribute '{}'", attribute));
+}
+
 Status ExrOutput::commit() {
     const std::string& path = file_.destination();
     return guarded(ErrorKind::output, path, [&]() -> Status {
@@ -239,6 +290,8 @@ Status ExrOutput::commit() {
         outputs_.clear();
         output_.reset();
         if (auto error = stream_->close()) return output_error(path, *error);
+        if (!replacements_.empty())
+            if (auto error = replace_bytes(file_.temporary_path(), header_bytes_, replacements_)) return output_error(path, *error);
         return file_.commit();
     });
 }
@@ -262,6 +315,9 @@ public:
         for (std::size_t i = 0; i < planes.size() && i < strides_.size(); ++i)
             layouts[i] = {planes[i], strides_[i], strides_[i] * static_cast<std::size_t>(output_->width())};
         return output_->write(y, rows, layouts);
+    }
+    Status replace_text(const std::string& attribute, const std::string& text) override {
+        return output_->replace_text(attribute, text);
     }
     Status commit() override { return output_->commit(); }
 

@@ -135,6 +135,9 @@ public:
                                                      const std::vector<ExrPart>& parts, const WriteOptions& options);
     /// @param planes  one pointer per channel over all parts in order, each [rows][width] samples of the channel's type.
     virtual Status write_rows(int y, int rows, std::span<const std::byte* const> planes) = 0;
+    /// Replaces the text of a string attribute by another of the same length in every part that has it: for figures that
+    /// are known only when all rows are written. @error output, when the lengths differ or there is no such attribute.
+    virtual Status replace_text(const std::string& attribute, const std::string& text) = 0;
     virtual Status commit() = 0;
 };
 

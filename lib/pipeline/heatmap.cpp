@@ -1,0 +1,220 @@
+#include "spectex/heatmap.h"
+
+#include <fmt/format.h>
+
+#include <cmath>
+#include <cstring>
+#include <functional>
+
+#include "kernels/convert.h"
+#include "pipeline/difference.h"
+
+namespace spectex {
+namespace {
+
+using namespace pipeline;
+
+using TakeRow = std::function<Status(int, std::span<const float>)>;
+
+/// Rows of differences, as often as asked for.
+struct MapSource {
+    Geometry geometry;
+    InputReport report;
+    std::string title;
+    std::function<Status(const TakeRow&)> run;
+};
+
+Result<MapSource> open_map(const std::string& path, const JobOptions& job) {
+    auto opened = ImageReader::open(path, job.threads);
+    if (!opened) return std::move(opened).error();
+    const std::shared_ptr<ImageReader> reader = *std::move(opened);
+    const auto& header = reader->header();
+    if (header.channels.size() != 1)
+        return Error{ErrorKind::input, fmt::format("{}: {} channels ({}): expected a map of one channel, or two images", path,
+                                                   header.channels.size(), fmt::join(header.channels, ", "))};
+    MapSource source;
+    source.geometry = header.geometry;
+    source.report.path = path;
+    source.report.width = header.geometry.width;
+    source.report.height = header.geometry.height;
+    source.title = header.channels[0];
+    if (const auto found = header.metadata.find("spectex:metric"); found != header.metadata.end())
+        if (const auto* name = std::get_if<std::string>(&found->second))
+            if (const auto metric = parse_metric(*name)) source.title = metric_title(*metric);
+    source.run = [reader, job](const TakeRow& take) -> Status {
+        const auto& h = reader->header();
+        const auto width = static_cast<std::size_t>(h.geometry.width);
+        const std::size_t sample = pixel_bytes(h.type);
+        const int rows = rows_per_strip(reader->preferred_rows(), width * (sample + sizeof(float)), h.geometry.height);
+        struct Buffers {
+            std::vector<std::byte> samples;
+            std::vector<float> values;
+        };
+        return run_strips(
+            job, h.geometry.height, rows, [] { return Buffers{}; },
+            [&](Buffers& b, int y, int n) {
+                b.samples.resize(width * static_cast<std::size_t>(n) * sample);
+                return reader->read_rows(y, n, b.samples.data());
+            },
+            [&](Buffers& b, int, int n) -> Status {
+                b.values.resize(width * static_cast<std::size_t>(n));
+                // A map in an integer format holds codes, not fractions: 7 is 7.
+                if (h.type == PixelType::uint8)
+                    for (std::size_t i = 0; i < b.values.size(); ++i)
+                        b.values[i] = static_cast<float>(std::to_integer<unsigned>(b.samples[i]));
+                else if (h.type == PixelType::uint16)
+                    for (std::size_t i = 0; i < b.values.size(); ++i)
+                        b.values[i] = reinterpret_cast<const std::uint16_t*>(b.samples.data())[i];
+                else
+                    convert_samples(b.samples.data(), h.type, b.values.size(), reinterpret_cast<std::byte*>(b.values.data()),
+                                    PixelType::float32);
+                return {};
+            },
+            [&](Buffers& b, int y, int n) -> Status {
+                for (int row = 0; row < n; ++row)
+                    if (auto s = take(y + row, {b.values.data() + static_cast<std::size_t>(row) * width, width}); !s) return s;
+                return {};
+            });
+    };
+    return source;
+}
+
+/// Differences above this many pixels are computed twice rather than kept.
+constexpr std::int64_t kept_pixels = std::int64_t{1} << 26;
+
+Result<MapSource> open_pair(const std::string& a, const std::string& b, const HeatmapOptions& options) {
+    DifferenceOptions differences;
+    differences.job = options.job;
+    differences.metric = options.metric;
+    auto opened = DifferencePair::open(a, b, differences);
+    if (!opened) return std::move(opened).error();
+    const auto pair = std::make_shared<DifferencePair>(*std::move(opened));
+    MapSource source;
+    source.geometry = pair->a.strips().geometry();
+    source.report = pair->report_a;
+    source.title = metric_title(options.metric);
+    const auto kept = std::make_shared<std::vector<float>>();
+    const JobOptions job = options.job;
+    source.run = [pair, kept, job](const TakeRow& take) -> Status {
+        const auto& g = pair->a.strips().geometry();
+        const auto width = static_cast<std::size_t>(g.width);
+        if (!kept->empty()) {
+            for (int y = 0; y < g.height; ++y)
+                if (auto s = take(y, {kept->data() + static_cast<std::size_t>(y) * width, width}); !s) return s;
+            return {};
+        }
+        const bool keep = static_cast<std::int64_t>(g.width) * g.height <= kept_pixels;
+        std::vector<float> rows;
+        const auto status = run_differences(*pair, job, [&](int y, std::span<const float> values, std::uint64_t) -> Status {
+            if (keep) rows.insert(rows.end(), values.begin(), values.end());
+            return take(y, values);
+        });
+        if (status) *kept = std::move(rows);
+        return status;
+    };
+    return source;
+}
+
+}  // namespace
+
+Result<HeatmapReport> heatmap(const std::string& map_or_a, const std::string& b, const std::string& output,
+                              const HeatmapOptions& options) {
+    const auto colors = find_color_map(options.colormap);
+    if (!colors) return colors.error();
+    if (options.range && !((*options.range)[0] < (*options.range)[1]))
+        return Error{ErrorKind::usage, fmt::format("range {}:{}: expected LO below HI", (*options.range)[0], (*options.range)[1])};
+    for (const auto& input : {map_or_a, b})
+        if (!input.empty() && same_file(input, output))
+            return Error{ErrorKind::usage, fmt::format("{}: the output is an input itself", output)};
+    auto source = b.empty() ? open_map(map_or_a, options.job) : open_pair(map_or_a, b, options);
+    if (!source) return std::move(source).error();
+
+    HeatmapReport report;
+    report.input = source->report;
+    DifferenceAccumulator accumulator;
+    if (auto s = source->run([&](int y, std::span<const float> values) { return accumulator.add_row(y, values); }); !s)
+        return s.error();
+    auto statistics = accumulator.finish();
+    if (!statistics) return std::move(statistics).error();
+    report.statistics = *statistics;
+    report.input.nonfinite = statistics->nonfinite;
+    if (options.job.strict && statistics->nonfinite > 0)
+        return Error{ErrorKind::input, fmt::format("{}: {} pixels are not finite: expected numbers, with --strict", map_or_a,
+                                                   statistics->nonfinite)};
+    report.low = options.range ? (*options.range)[0] : 0;
+    report.high = options.range ? (*options.range)[1] : round_up_range(statistics->p999);
+
+    const int height = source->geometry.height, width = source->geometry.width;
+    int factor = 1;
+    Picture legend;
+    if (options.legend) {
+        factor = std::max(1, (minimum_map_height() + height - 1) / height);
+        Legend text;
+        text.low = report.low;
+        text.high = report.high;
+        text.title = source->title;
+        text.notes = {fmt::format("mean {:.3g}", statistics->mean), fmt::format("p99 {:.3g}", statistics->p99),
+                      fmt::format("max {:.3g}", statistics->max)};
+        if (statistics->nonfinite > 0) text.notes.push_back(fmt::format("{} without value", statistics->nonfinite));
+        auto drawn = draw_legend(*colors, text, height * factor);
+        if (!drawn) return std::move(drawn).error();
+        legend = *std::move(drawn);
+    }
+    const auto map_width = static_cast<std::size_t>(width) * static_cast<std::size_t>(factor);
+    Geometry geometry;
+    geometry.width = width * factor + legend.width;
+    geometry.height = height * factor;
+    geometry.full_width = geometry.width;
+    geometry.full_height = geometry.height;
+    report.width = geometry.width;
+    report.height = geometry.height;
+
+    const auto stored = storable_type(output, PixelType::uint8);
+    if (!stored || *stored != PixelType::uint8)
+        return Error{ErrorKind::usage, fmt::format("{}: expected a picture format of 8 bits, such as .png, .tif or .jpg", output)};
+    auto writer = ImageWriter::create(output, geometry, {"R", "G", "B"}, false, {}, {PixelType::uint8, "", options.job.threads});
+    if (!writer) return std::move(writer).error();
+
+    // Rows are handed to the encoder a few at a time: some formats compress faster by blocks.
+    constexpr int block = 64;
+    const std::size_t row_bytes = static_cast<std::size_t>(geometry.width) * 3;
+    std::vector<std::byte> rows;
+    int first = 0, filled = 0;
+    const auto flush = [&]() -> Status {
+        if (filled == 0) return {};
+        auto s = (*writer)->write_rows(first, filled, rows.data());
+        first += filled;
+        filled = 0;
+        rows.clear();
+        return s;
+    };
+    const double scale = 1 / (report.high - report.low);
+    const auto status = source->run([&](int y, std::span<const float> values) -> Status {
+        std::vector<std::byte> row(row_bytes);
+        for (std::size_t x = 0; x < values.size(); ++x) {
+            const double v = values[x];
+            if (v > report.high) ++report.above;
+            if (v < report.low) ++report.below;
+            const auto code = colors->at(std::isinf(v) ? std::nan("") : (v - report.low) * scale);
+            for (int i = 0; i < factor; ++i)
+                for (std::size_t c = 0; c < 3; ++c)
+                    row[(x * static_cast<std::size_t>(factor) + static_cast<std::size_t>(i)) * 3 + c] = std::byte{code[c]};
+        }
+        for (int i = 0; i < factor; ++i) {
+            const auto line = static_cast<std::size_t>(y) * static_cast<std::size_t>(factor) + static_cast<std::size_t>(i);
+            if (legend.width > 0)
+                std::memcpy(row.data() + map_width * 3, legend.rgb.data() + line * static_cast<std::size_t>(legend.width) * 3,
+                            static_cast<std::size_t>(legend.width) * 3);
+            rows.insert(rows.end(), row.begin(), row.end());
+            if (++filled == block)
+                if (auto s = flush(); !s) return s;
+        }
+        return {};
+    });
+    if (!status) return status.error();
+    if (auto s = flush(); !s) return s.error();
+    if (auto s = (*writer)->commit(); !s) return s.error();
+    return report;
+}
+
+}  // namespace spectex
