@@ -36,7 +36,7 @@ Status run_differences(DifferencePair& pair, const JobOptions& job, const Take& 
                                         static_cast<std::size_t>(width) * 28,
                                     geometry.height);
     return run_strips(
-        job, geometry.height, rows, [] { return Buffers{}; },
+        job, width, geometry.height, rows, [] { return Buffers{}; },
         [&](Buffers& b, int y, int n) -> Status {
             if (auto s = pair.a.strips().read(y, n, b.a); !s) return s;
             return pair.b.strips().read(y, n, b.b);

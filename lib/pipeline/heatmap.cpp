@@ -51,7 +51,7 @@ Result<MapSource> open_map(const std::string& path, const JobOptions& job) {
             std::vector<float> values;
         };
         return run_strips(
-            job, h.geometry.height, rows, [] { return Buffers{}; },
+            job, h.geometry.width, h.geometry.height, rows, [] { return Buffers{}; },
             [&](Buffers& b, int y, int n) {
                 b.samples.resize(width * static_cast<std::size_t>(n) * sample);
                 return reader->read_rows(y, n, b.samples.data());

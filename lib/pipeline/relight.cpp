@@ -186,7 +186,7 @@ Result<RelightReport> relight(const std::string& input, const std::vector<std::s
     CountTotals totals;
     const int rows = rows_per_strip(setup.source->preferred_rows(), row_bytes, geometry.height);
     const auto status = run_strips(
-        options.job, geometry.height, rows, [] { return Buffers{}; },
+        options.job, width, geometry.height, rows, [] { return Buffers{}; },
         [&](Buffers& b, int y, int n) { return setup.source->read(y, n, b.raw); },
         [&](Buffers& b, int y, int n) -> Status {
             const std::size_t pixels = static_cast<std::size_t>(width) * static_cast<std::size_t>(n);

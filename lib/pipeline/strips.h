@@ -59,7 +59,7 @@ private:
 /// @param compute  (Buffers&, y, rows) -> Status.
 /// @param write    (Buffers&, y, rows) -> Status.
 template <class Make, class Read, class Compute, class Write>
-Status run_strips(const JobOptions& job, int height, int rows, const Make& make, const Read& read, const Compute& compute,
+Status run_strips(const JobOptions& job, int width, int height, int rows, const Make& make, const Read& read, const Compute& compute,
                   const Write& write) {
     using Buffers = decltype(make());
     struct Strip {
@@ -103,7 +103,8 @@ Status run_strips(const JobOptions& job, int height, int rows, const Make& make,
                         if (error.failed()) return;
                         error.check(write(strip->buffers, strip->y, strip->rows));
                         if (job.progress && !error.failed())
-                            job.progress(static_cast<std::uint64_t>(strip->y + strip->rows), static_cast<std::uint64_t>(height));
+                            job.progress(static_cast<std::uint64_t>(strip->y + strip->rows) * static_cast<std::uint64_t>(width),
+                                         static_cast<std::uint64_t>(height) * static_cast<std::uint64_t>(width));
                     }));
         });
     } catch (const std::bad_alloc&) {

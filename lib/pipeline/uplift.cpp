@@ -328,7 +328,7 @@ Result<UpliftReport> uplift(const std::string& input, const std::string& output,
     CountTotals totals;
 
     const auto status = run_strips(
-        options.job, geometry.height, rows, [] { return Buffers{}; },
+        options.job, width, geometry.height, rows, [] { return Buffers{}; },
         [&](Buffers& b, int y, int n) { return setup->source->read(y, n, b.raw); },
         [&](Buffers& b, int y, int n) -> Status {
             const std::size_t pixels = static_cast<std::size_t>(width) * static_cast<std::size_t>(n);

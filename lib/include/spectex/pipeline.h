@@ -23,7 +23,7 @@
 
 namespace spectex {
 
-/// Called from one thread at a time with rows done and rows in all.
+/// Called from one thread at a time with pixels done and pixels in all.
 using ProgressFunction = std::function<void(std::uint64_t done, std::uint64_t total)>;
 
 /// What every job takes.

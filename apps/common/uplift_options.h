@@ -1,0 +1,21 @@
+// How a texture is uplifted and stored: what spxuplift and spxdiff --roundtrip both take.
+#pragma once
+
+#include "options.h"
+#include "spectex/pipeline.h"
+
+namespace spectex::app {
+
+struct UpliftOptionSet {
+    ColorimetryOptions colorimetry;
+    MethodOptions method;
+    OutputOptions output;
+    std::string store = "coefficients";
+
+    /// @error usage.
+    Result<UpliftSettings> settings(const App& app) const;
+};
+/// --method --gamut --store --bands --observer --illuminant --rgb-space --matrix --half --float --compression
+void add_uplift_options(App& app, UpliftOptionSet& options);
+
+}  // namespace spectex::app

@@ -1,0 +1,126 @@
+// spxdiff: colour differences of two files, or of a texture and its round trip.
+#include <fmt/format.h>
+
+#include "reports.h"
+#include "uplift_options.h"
+
+using namespace spectex;
+using namespace spectex::app;
+
+int main(int argc, char** argv) {
+    App app({"spxdiff", "A B | --roundtrip IN... [options]",
+             "Measures colour differences, A the reference; or the round trip of textures through spectra and back.",
+             {{"spxdiff a.png b.png --fail-max 1", "exit 1 when some pixel differs by more than 1"},
+              {"spxdiff --roundtrip bricks.png --store spectral --bands 36 --half", "the whole path through 36 half bands"},
+              {"spxdiff a.exr b.exr --metric cie76 --map map.exr", "a map for spxheat"}}});
+    std::vector<std::string> arguments;
+    bool roundtrip = false;
+    std::string metric_text = "ciede2000", map, input_colorspace;
+    std::optional<double> fail_mean, fail_p99, fail_max;
+    UpliftOptionSet set;
+    app.positional("FILE", &arguments, 1, App::unlimited, "A and B; or the textures of --roundtrip");
+    app.group("Difference");
+    app.flag("--roundtrip", &roundtrip, "uplift, store and reproject in memory, against the linearised input");
+    app.choice("--metric", "METRIC", &metric_text, {"cie76", "cie94", "ciede2000", "cmc", "din99", "itp", "oklab"},
+               "colour difference: CIE94 graphic arts, CMC 2:1");
+    app.text("--map", "MAP.exr", &map, "write the differences as a float EXR of one channel");
+    constexpr double infinity = std::numeric_limits<double>::infinity();
+    app.number("--fail-mean", "X", &fail_mean, 0, infinity, "", "exit 1 when the mean is above X");
+    app.number("--fail-p99", "X", &fail_p99, 0, infinity, "", "exit 1 when the 99th percentile is above X");
+    app.number("--fail-max", "X", &fail_max, 0, infinity, "", "exit 1 when the largest is above X");
+    add_input_colorspace(app, input_colorspace);
+    add_uplift_options(app, set);
+
+    return app.main(argc, argv, [&]() -> int {
+        const auto metric = parse_metric(metric_text);
+        if (!metric) return app.report(metric.error());
+        const auto inputs = app.inputs(arguments);
+        if (!inputs) return app.report(inputs.error());
+        if (!roundtrip && inputs->size() != 2)
+            return app.usage_error(fmt::format("{} files: expected two, A and B; or --roundtrip", inputs->size()));
+        if (!map.empty()) {
+            if (roundtrip && inputs->size() > 1) return app.usage_error("--map: expected one input with it");
+            const NamedOutput outputs[] = {{"--map", map}};
+            if (auto s = check_outputs(*inputs, outputs); !s) return app.report(s.error());
+        }
+        DifferenceOptions options;
+        options.metric = *metric;
+        options.map = map;
+        options.matrix = set.colorimetry.spec.matrix;
+        options.observer = set.colorimetry.spec.observer;
+        bool exceeded = false;
+        const auto judge = [&](const DifferenceStatistics& s, const std::string& what) {
+            const auto check = [&](const char* name, std::optional<double> bound, double value) {
+                if (!bound || value <= *bound) return;
+                exceeded = true;
+                app.warn(fmt::format("{}: {} {} is above --fail-{} {}", what, name, number_text(value), name, number_text(*bound)));
+            };
+            check("mean", fail_mean, s.mean);
+            check("p99", fail_p99, s.p99);
+            check("max", fail_max, s.max);
+        };
+        const auto show = [&](const DifferenceReport& report) {
+            const auto& s = report.statistics;
+            app.out(fmt::format("{}: {}\n  rms {:.4g}  p50 {:.4g}  p95 {:.4g}  pixels {}  not finite {}  changed 8-bit codes {}\n"
+                                "  reference white: {}\n",
+                                metric_title(*metric), summary(s), s.rms, s.p50, s.p95, s.pixels, s.nonfinite, s.changed_codes,
+                                report.white));
+        };
+        int code = exit_ok;
+        if (roundtrip) {
+            const auto settings = set.settings(app);
+            if (!settings) return app.report(settings.error());
+            std::vector<Job> jobs;
+            for (const auto& input : *inputs) jobs.push_back({input, {}});
+            code = app.each(jobs, [&](const Job& job) -> Result<Json> {
+                const auto progress = app.progress(job.input);
+                options.job = job_options(app, progress, input_colorspace);
+                if (app.explaining()) {
+                    UpliftOptions uplift;
+                    uplift.settings = *settings;
+                    uplift.job = options.job;
+                    uplift.check_all = true;
+                    const auto lines = explain_uplift(job.input, uplift);
+                    if (!lines) return lines.error();
+                    explain(app, job.input, *lines);
+                }
+                const auto report = compare_roundtrip(job.input, *settings, options);
+                if (!report) return report.error();
+                warn_about(app, report->a);
+                app.out(fmt::format("{}: {}\n", escape(job.input), report->path));
+                show(*report);
+                app.out(fmt::format("  read with the standard's rounded white instead: {}\n", summary(*report->standard_matrix)));
+                judge(report->statistics, job.input);
+                Json json = to_json(report->a);
+                json.update(to_json(report->statistics, *metric));
+                json["method"] = settings->method;
+                json["store"] = set.store;
+                json["path"] = report->path;
+                json["white"] = report->white;
+                json["standard_matrix"] = to_json(*report->standard_matrix, *metric);
+                if (!map.empty()) json["map"] = map;
+                return json;
+            });
+        } else {
+            const auto progress = app.progress((*inputs)[0]);
+            options.job = job_options(app, progress, input_colorspace);
+            const auto report = compare_files((*inputs)[0], (*inputs)[1], options);
+            if (!report) return app.report(report.error());
+            const Explanation lines = {{"A", fmt::format("{} ({})", report->a.colorspace, report->a.colorspace_reason)},
+                                       {"B", fmt::format("{} ({})", report->b.colorspace, report->b.colorspace_reason)},
+                                       {"white", report->white},
+                                       {"skipped", "alpha and other channels: not colour"}};
+            explain(app, "difference", lines);
+            show(*report);
+            judge(report->statistics, (*inputs)[1]);
+            Json json = to_json(report->statistics, *metric);
+            json["a"] = to_json(report->a);
+            json["b"] = to_json(report->b);
+            json["input"] = (*inputs)[0];
+            json["white"] = report->white;
+            if (!map.empty()) json["map"] = map;
+            app.record(std::move(json));
+        }
+        return code != exit_ok ? code : exceeded ? static_cast<int>(exit_threshold) : static_cast<int>(exit_ok);
+    });
+}

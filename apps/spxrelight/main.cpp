@@ -1,0 +1,144 @@
+// spxrelight: textures, coefficients and spectra under other lights.
+#include <fmt/format.h>
+
+#include "options.h"
+#include "reports.h"
+
+using namespace spectex;
+using namespace spectex::app;
+
+namespace {
+
+Status list_illuminants_matching(App& app, const std::string& pattern) {
+    const auto entries = list_illuminants();
+    if (!entries) return entries.error();
+    const auto lower = [](std::string text) {
+        for (char& c : text)
+            if (c >= 'A' && c <= 'Z') c = static_cast<char>(c - 'A' + 'a');
+        return text;
+    };
+    const auto wanted = lower(pattern);
+    Json list = Json::array();
+    for (const auto& e : *entries) {
+        if (lower(e.name + " " + e.title + " " + e.kind).find(wanted) == std::string::npos) continue;
+        app.out(fmt::format("{:<10} {:<14} {}\n", e.name, e.kind, escape(e.title)));
+        list.push_back({{"name", e.name}, {"kind", e.kind}, {"title", e.title}});
+    }
+    if (list.empty()) return Error{ErrorKind::usage, fmt::format("--list-illuminants: no name, kind or title holds '{}'", pattern)};
+    app.record({{"illuminants", std::move(list)}});
+    return {};
+}
+
+}  // namespace
+
+int main(int argc, char** argv) {
+    App app({"spxrelight", "IN... -i ILLUMINANT[,ILLUMINANT...] -o OUT|DIR [options]",
+             "Reprojects textures, coefficient EXRs and spectral EXRs under other illuminants and observers.",
+             {{"spxrelight bricks.png -i A -o bricks_a.png", "an sRGB texture as CIE illuminant A shows it"},
+              {"spxrelight bricks.exr -i A,FL11,D:5003 -o 'bricks_{illuminant}.png'", "three lights in one pass"},
+              {"spxrelight bricks.exr -i lamp.csv --adapt cat16 -o out.exr", "a measured lamp, its white adapted"},
+              {"spxrelight --list-illuminants led", "what can be named"}}});
+    std::vector<std::string> arguments, names;
+    std::string output, input_colorspace, adapt = "none", normalize = "luminance", list_pattern, relight_observer;
+    bool listing = false;
+    ColorimetryOptions colorimetry;
+    MethodOptions method;
+    OutputOptions out;
+    app.positional("IN", &arguments, 0, App::unlimited, "RGB textures, coefficient EXRs, spectral EXRs; wildcards are expanded");
+    app.group("Light");
+    app.list("-i,--illuminant", "ILLUMINANT[,...]", &names,
+             "lights: a name, lamp:N, D:KELVIN, P:KELVIN, a file, or a mixture as 0.7*A+0.3*FL11");
+    app.add({.names = "--list-illuminants", .metavar = "TEXT", .text = "list the illuminants whose name, kind or title holds TEXT ('' for all)",
+             .set = [&](std::string_view v) -> Status {
+                 list_pattern = v;
+                 listing = true;
+                 return {};
+             }});
+    app.choice("--adapt", "METHOD", &adapt, {"none", "vonkries", "bradford", "cat02", "cat16"},
+               "chromatic adaptation from the light's white to the output's");
+    app.choice("--normalize", "HOW", &normalize, {"luminance", "none"},
+               "scale every light so that a perfect diffuser has Y = 1, or keep the lamp's power relative to D65");
+    app.add({.names = "--relight-observer", .metavar = "O", .text = "observer under the new light",
+             .default_value = "the input's own", .set = [&](std::string_view v) -> Status {
+                 if (auto found = find_observer(v); !found) return found.error();
+                 relight_observer = v;
+                 return {};
+             }});
+    app.group("Output");
+    app.text("-o,--output", "OUT|DIR", &output, "image to write, with {illuminant} for several lights, or an existing folder");
+    add_output_options(app, out);
+    add_input_colorspace(app, input_colorspace);
+    add_method_options(app, method);
+    add_colorimetry_options(app, colorimetry, "--reference-illuminant");
+
+    return app.main(argc, argv, [&]() -> int {
+        if (listing) {
+            const auto listed = list_illuminants_matching(app, list_pattern);
+            return listed ? exit_ok : app.report(listed.error());
+        }
+        if (arguments.empty()) return app.usage_error("IN is missing: expected an RGB texture, a coefficient EXR or a spectral EXR");
+        if (output.empty()) return app.usage_error("-o is missing: expected an image to write or an existing folder");
+
+        RelightOptions options;
+        options.method = method.method;
+        options.gamut = method.gamut;
+        options.colorimetry = colorimetry.spec;
+        if (app.given("--bands")) {
+            auto bands = colorimetry.band_set();
+            if (!bands) return app.report(bands.error());
+            options.bands = *std::move(bands);
+        }
+        std::vector<std::string> shown;
+        for (const auto& name : names) {
+            auto illuminant = parse_illuminant(name);
+            if (!illuminant) return app.report(illuminant.error());
+            shown.push_back(illuminant->name);
+            options.illuminants.push_back(*std::move(illuminant));
+        }
+        // --observer means both; the observer under the new light may be named apart.
+        if (!relight_observer.empty())
+            options.observer = relight_observer;
+        else if (app.given("--observer"))
+            options.observer = colorimetry.spec.observer;
+        options.adaptation = *parse_adaptation(adapt);
+        options.normalization = normalize == "none" ? Normalization::none : Normalization::luminance;
+        options.output_colorspace = out.colorspace;
+        options.type = out.type;
+        options.compression = out.compression;
+
+        const auto inputs = app.inputs(arguments);
+        if (!inputs) return app.report(inputs.error());
+        const auto jobs = plan_outputs(*inputs, output, ".exr", shown);
+        if (!jobs) return app.report(jobs.error());
+        return app.each(*jobs, [&](const Job& job) -> Result<Json> {
+            const auto progress = app.progress(job.input);
+            options.job = job_options(app, progress, input_colorspace);
+            if (app.explaining()) {
+                const auto lines = explain_relight(job.input, job.outputs, options);
+                if (!lines) return lines.error();
+                explain(app, job.input, *lines);
+            }
+            const auto report = relight(job.input, job.outputs, options);
+            if (!report) return report.error();
+            warn_about(app, report->input);
+            Json json = to_json(report->input);
+            json["kind"] = report->kind == FileKind::image ? "image" : report->kind == FileKind::spectral ? "spectral" : "coefficients";
+            Json list = Json::array();
+            for (const auto& o : report->outputs) {
+                if (o.clipped > 0)
+                    app.warn(fmt::format("{}: {} samples lie outside what {} holds in {}: clipped", o.path, o.clipped,
+                                         pixel_type_name(o.type), o.colorspace));
+                app.note(fmt::format("{}: under {}, {} in {}", o.path, o.illuminant, pixel_type_name(o.type), o.colorspace));
+                list.push_back({{"output", o.path}, {"illuminant", o.illuminant}, {"type", pixel_type_name(o.type)},
+                                {"colorspace", o.colorspace}, {"clipped", o.clipped}});
+            }
+            if (list.size() == 1) {
+                json.update(list[0]);
+            } else {
+                json["output"] = list[0]["output"];
+            }
+            json["outputs"] = std::move(list);
+            return json;
+        });
+    });
+}
