@@ -1,0 +1,13 @@
+// Everything of the library.
+#pragma once
+
+#include "spectex/base.h"
+#include "spectex/color.h"
+#include "spectex/compare.h"
+#include "spectex/heatmap.h"
+#include "spectex/io.h"
+#include "spectex/methods.h"
+#include "spectex/pipeline.h"
+#include "spectex/plan.h"
+#include "spectex/solvers.h"
+#include "spectex/spectral.h"
