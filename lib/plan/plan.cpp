@@ -8,6 +8,7 @@
 #include "kernels/convert.h"
 #include "kernels/lattice.h"
 #include "kernels/linear.h"
+#include "kernels/spectra.h"
 #include "spectex/io.h"
 #include "spectral/numeric.h"
 
@@ -238,6 +239,10 @@ Result<StorePlan> StorePlan::make(std::shared_ptr<const Model> model, Store stor
         for (const double nm : colorimetry.bands().wavelengths_nm()) plan.names_.push_back(spectral_channel_name("T", nm));
         plan.explanation_.push_back({"store", fmt::format("{} bands per texel as {}, solved for the weights of this very band set",
                                                           bands, pixel_type_name(type))});
+        if (type == PixelType::half) {
+            plan.rounder_ = std::make_shared<kernels::HalfSpectraRounder>(colorimetry.sensing_matrix(), bands);
+            plan.explanation_.push_back({"rounding", "to half with the errors of a pixel's bands cancelling in its RGB"});
+        }
         plan.explanation_.push_back(
             {"kernel", model->basis() ? "linear combination of three spectra" : "spectra evaluated per pixel"});
     }
@@ -251,18 +256,7 @@ void StorePlan::store(std::array<const float*, 3> rgb, std::size_t n, std::span<
         else
             std::copy_n(from, count, reinterpret_cast<float*>(planes[channel]) + at);
     };
-    if (store_ == Store::spectral && model_->basis()) {
-        if (type_ == PixelType::half) {
-            std::vector<std::uint16_t*> out(planes.size());
-            for (std::size_t i = 0; i < out.size(); ++i) out[i] = reinterpret_cast<std::uint16_t*>(planes[i]);
-            kernels::combine_basis(rgb, n, *model_->basis(), 0, out.size(), out.data());
-        } else {
-            std::vector<float*> out(planes.size());
-            for (std::size_t i = 0; i < out.size(); ++i) out[i] = reinterpret_cast<float*>(planes[i]);
-            kernels::combine_basis(rgb, n, *model_->basis(), 0, out.size(), out.data());
-        }
-        return;
-    }
+    if (store_ == Store::spectral) return store_bands(rgb, n, planes);
     if (store_ == Store::coefficients && model_->info().pieces != Pieces::nonlinear) {
         for (std::size_t i = 0; i < 3; ++i) emit(rgb[i], n, i, 0);
         return;
@@ -274,14 +268,42 @@ void StorePlan::store(std::array<const float*, 3> rgb, std::size_t n, std::span<
         const std::size_t count = std::min(block_pixels, n - begin);
         for (std::size_t p = 0; p < count; ++p)
             for (std::size_t i = 0; i < 3; ++i) colors[3 * p + i] = rgb[i][begin + p];
-        if (store_ == Store::coefficients)
-            model_->coefficients({colors.data(), 3 * count}, {computed.data(), values * count});
-        else
-            model_->reflectance({colors.data(), 3 * count}, {computed.data(), values * count});
+        model_->coefficients({colors.data(), 3 * count}, {computed.data(), values * count});
         for (std::size_t i = 0; i < values; ++i) {
             for (std::size_t p = 0; p < count; ++p) plane[p] = static_cast<float>(computed[p * values + i]);
             emit(plane.data(), count, i, begin);
         }
+    }
+}
+
+void StorePlan::store_bands(std::array<const float*, 3> rgb, std::size_t n, std::span<std::byte* const> planes) const {
+    const std::size_t bands = planes.size();
+    const bool half = type_ == PixelType::half;
+    // Halves are rounded together, so their floats pass through a block; floats go where they stay.
+    std::vector<float> block(half ? bands * block_pixels : 0);
+    std::vector<double> colors, computed;
+    if (!model_->basis()) {
+        colors.resize(3 * block_pixels);
+        computed.resize(bands * block_pixels);
+    }
+    std::vector<float*> out(bands);
+    std::vector<std::uint16_t*> halves(bands);
+    for (std::size_t begin = 0; begin < n; begin += block_pixels) {
+        const std::size_t count = std::min(block_pixels, n - begin);
+        for (std::size_t b = 0; b < bands; ++b)
+            out[b] = half ? &block[b * block_pixels] : reinterpret_cast<float*>(planes[b]) + begin;
+        if (model_->basis()) {
+            kernels::combine_basis({rgb[0] + begin, rgb[1] + begin, rgb[2] + begin}, count, *model_->basis(), 0, bands, out.data());
+        } else {
+            for (std::size_t p = 0; p < count; ++p)
+                for (std::size_t i = 0; i < 3; ++i) colors[3 * p + i] = rgb[i][begin + p];
+            model_->reflectance({colors.data(), 3 * count}, {computed.data(), bands * count});
+            for (std::size_t b = 0; b < bands; ++b)
+                for (std::size_t p = 0; p < count; ++p) out[b][p] = static_cast<float>(computed[p * bands + b]);
+        }
+        if (!half) continue;
+        for (std::size_t b = 0; b < bands; ++b) halves[b] = reinterpret_cast<std::uint16_t*>(planes[b]) + begin;
+        (*rounder_)(out.data(), count, halves.data());
     }
 }
 

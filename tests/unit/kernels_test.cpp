@@ -14,6 +14,7 @@
 #include "kernels/convert.h"
 #include "kernels/lattice.h"
 #include "kernels/linear.h"
+#include "kernels/spectra.h"
 
 namespace {
 
@@ -385,6 +386,59 @@ LatticeTable random_table(std::array<std::size_t, 3> sizes_of, std::size_t value
     t.values = values;
     t.vertices = random_doubles(sizes_of[0] * sizes_of[1] * sizes_of[2] * values, seed + 1, 0, 1);
     return t;
+}
+
+TEST(Spectra, halves_cancel_their_errors_with_the_same_bytes_on_every_target) {
+    // Three bell-shaped weights, as a sensing matrix has.
+    const std::size_t bands = 41;
+    std::vector<double> weights(3 * bands);
+    for (std::size_t b = 0; b < bands; ++b)
+        for (std::size_t c = 0; c < 3; ++c) {
+            const double d = (static_cast<double>(b) - (30.0 - 10.0 * static_cast<double>(c))) / 5;
+            weights[c * bands + b] = 0.08 * std::exp(-d * d) - (c == 1 ? 0.01 * std::exp(-d * d / 4) : 0);
+        }
+    const k::HalfSpectraRounder rounder(weights, bands);
+    for (const std::size_t n : {std::size_t{1}, std::size_t{17}, std::size_t{4099}}) {
+        std::vector<std::vector<float>> in;
+        for (std::size_t b = 0; b < bands; ++b) in.push_back(random_floats(n, static_cast<unsigned>(b + 7)));
+        in[3][0] = 1;
+        in[4][0] = 0;
+        std::vector<const float*> planes;
+        for (const auto& plane : in) planes.push_back(plane.data());
+        std::vector<std::vector<std::uint16_t>> expected(bands, std::vector<std::uint16_t>(n)), got = expected;
+        const auto pointers = [](std::vector<std::vector<std::uint16_t>>& v) {
+            std::vector<std::uint16_t*> p;
+            for (auto& plane : v) p.push_back(plane.data());
+            return p;
+        };
+        rounder.reference(planes.data(), n, pointers(expected).data());
+        on_every_target([&] {
+            rounder(planes.data(), n, pointers(got).data());
+            EXPECT_EQ(got, expected);
+        });
+        double diffused = 0, nearest = 0;
+        for (std::size_t i = 0; i < n; ++i)
+            for (std::size_t c = 0; c < 3; ++c) {
+                double a = 0, b = 0;
+                for (std::size_t band = 0; band < bands; ++band) {
+                    float stored = 0, plain = 0;
+                    std::uint16_t half = 0;
+                    k::half_to_float(&expected[band][i], 1, 1, &stored);
+                    k::float_to_half(&in[band][i], 1, &half, 1);
+                    k::half_to_float(&half, 1, 1, &plain);
+                    a += weights[c * bands + band] * (stored - in[band][i]);
+                    b += weights[c * bands + band] * (plain - in[band][i]);
+                    // Asked-for correction and rounding, an ulp and a half of at most 2^-10 relative each.
+                    EXPECT_LE(std::fabs(stored - in[band][i]), 1.5f * 0x1p-10f * in[band][i] + 0x1p-24f);
+                    EXPECT_LE(stored, 1.0f);
+                }
+                diffused = std::max(diffused, std::fabs(a));
+                nearest = std::max(nearest, std::fabs(b));
+            }
+        if (n > 1000) {
+            EXPECT_LT(diffused, nearest / 4);  // what the diffusion is for
+        }
+    }
 }
 
 TEST(Lattice, agrees_bit_for_bit_with_the_reference) {

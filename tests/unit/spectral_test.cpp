@@ -201,7 +201,7 @@ TEST_F(IlluminantFiles, FineLinesAreNotLostBetweenSamples) {
 }
 
 TEST(Colorimetry, WhiteIsExactlyOneOnEveryGrid) {
-    for (const char* bands : {"380:780:5", "360:830:1", "400:700:10", "36", "7", "383:771:4", "380:780:20"})
+    for (const char* bands : {"380:780:5", "360:830:1", "400:700:10", "36", "7", "12", "383:771:4", "380:780:20"})
         for (const auto& observer : observer_ids())
             for (const auto& space : rgb_spaces()) {
                 const auto c = Colorimetry::make({observer, "", space.name, RgbMatrix::integrated}, *BandSet::parse(bands));

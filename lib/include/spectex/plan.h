@@ -20,6 +20,7 @@ namespace spectex {
 
 namespace kernels {
 class LatticeKernel;
+class HalfSpectraRounder;
 }
 
 /// One line of what `--explain` prints.
@@ -104,10 +105,12 @@ public:
 
 private:
     explicit StorePlan(RelightPlan reader) : reader_(std::move(reader)) {}
+    void store_bands(std::array<const float*, 3> rgb, std::size_t n, std::span<std::byte* const> planes) const;
     std::shared_ptr<const Model> model_;
     Store store_ = Store::coefficients;
     PixelType type_ = PixelType::half;
     std::vector<std::string> names_;
+    std::shared_ptr<const kernels::HalfSpectraRounder> rounder_;  // half bands
     RelightPlan reader_;
     Explanation explanation_;
 };

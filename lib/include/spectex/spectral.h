@@ -44,7 +44,8 @@ public:
     explicit BandSet(const SpectralShape& shape);
     /// @error input, when the list is not finite, positive, strictly ascending, or of 3 to max_size entries.
     static Result<BandSet> make(std::vector<double> wavelengths_nm);
-    /// `START:END:STEP` in nm; `N` bands evenly over 380..780 nm, rounded to the 1e-6 nm that channel names keep;
+    /// `START:END:STEP` in nm; `N` bands evenly over 380..780 nm (for N below 19 over the widest part of it on which the
+    /// primaries of mallett2019 exist), rounded to the 1e-6 nm that channel names keep;
     /// `auto`, 380:780:10. @error usage, naming what was expected.
     static Result<BandSet> parse(std::string_view text);
 
