@@ -304,6 +304,7 @@ struct ShippedSet {
     Case request;
     Smoothness smoothness;
 };
+void PrintTo(const ShippedSet& s, std::ostream* out) { *out << s.file; }
 class Shipped : public testing::TestWithParam<ShippedSet> {};
 
 TEST_P(Shipped, IsWhatSolvingAgainGives) {
