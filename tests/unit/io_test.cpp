@@ -127,7 +127,7 @@ TEST_F(IoTest, RoundTripIsExactForEveryFormatTypeAndCompression) {
         if (c.channels == 1) channels = {"Y"};
         if (c.channels == 2) channels = {"Y", "A"};
         const auto samples = noise(static_cast<std::size_t>(g.width * g.height * c.channels), c.type, seed++);
-        const std::string file = path("t" + std::to_string(seed) + "." + c.suffix);
+        const std::string file = path(std::to_string(seed) + "." + c.suffix);
         auto writer = ImageWriter::create(file, g, channels, false, {}, {c.type, c.compression, 2});
         ASSERT_TRUE(writer) << writer.error().message;
         ASSERT_EQ((*writer)->type(), c.type);
