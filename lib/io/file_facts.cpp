@@ -1,4 +1,4 @@
-// The few header fields of PNG and JPEG that OpenImageIO does not hand on or answers itself.
+// The few header fields of PNG that OpenImageIO does not hand on or answers itself.
 #include <fcntl.h>
 #include <sys/stat.h>
 #include <unistd.h>
@@ -74,58 +74,6 @@ void read_png(const File& file, FileFacts& facts) {
     if (facts.srgb || icc) facts.gamma.reset(), facts.chromaticities.reset();
 }
 
-// JPEG (ITU-T T.81) annex B. A decoder fills what is missing with grey, so the end marker is looked for here.
-bool jpeg_is_complete(const File& file) {
-    std::uint64_t at = 2;
-    std::array<unsigned char, 4> m{};
-    while (true) {  // segments up to the first scan
-        if (file.read(at, m.data(), 4) < 4) return false;
-        if (m[0] != 0xff) return false;
-        if (m[1] == 0xff) {
-            ++at;
-            continue;
-        }
-        if (m[1] == 0xd9) return true;
-        if (m[1] == 0xd8 || m[1] == 0x01 || (m[1] >= 0xd0 && m[1] <= 0xd7)) {
-            at += 2;
-            continue;
-        }
-        at += 2 + (std::uint64_t{m[2]} << 8 | m[3]);
-        if (m[1] == 0xda) break;
-    }
-    // In entropy-coded data every 0xff is followed by 0 or a restart, so the end marker is unique; segments between the
-    // scans of a progressive file are tables, which could hold it by chance only in their payload: skip them too.
-    std::vector<unsigned char> block(std::size_t{1} << 16);
-    while (true) {
-        const std::size_t n = file.read(at, block.data(), block.size());
-        if (n < 2) return false;
-        std::size_t i = 0;
-        bool moved = false;
-        while (i + 1 < n) {
-            const auto* hit = static_cast<const unsigned char*>(std::memchr(block.data() + i, 0xff, n - 1 - i));
-            if (!hit) {
-                i = n - 1;
-                break;
-            }
-            i = static_cast<std::size_t>(hit - block.data());
-            const unsigned char code = block[i + 1];
-            if (code == 0xd9) return true;
-            if (code == 0xff) {
-                i += 1;
-            } else if (code == 0 || (code >= 0xd0 && code <= 0xd7)) {
-                i += 2;
-            } else {
-                std::array<unsigned char, 4> s{};
-                if (file.read(at + i, s.data(), 4) < 4) return false;
-                at += i + 2 + (std::uint64_t{s[2]} << 8 | s[3]);
-                moved = true;
-                break;
-            }
-        }
-        if (!moved) at += std::max<std::size_t>(i, 1);
-    }
-}
-
 bool starts(const unsigned char* head, std::size_t n, std::string_view magic) {
     return n >= magic.size() && std::memcmp(head, magic.data(), magic.size()) == 0;
 }
@@ -141,12 +89,10 @@ Result<FileFacts> read_file_facts(const std::string& path) {
     if (n >= 8 && std::memcmp(head.data(), png_signature.data(), 8) == 0) {
         read_png(file, facts);
         facts.streams = !facts.png_interlaced;
-    } else if (starts(head.data(), n, "\xff\xd8")) {
-        if (!jpeg_is_complete(file)) return input_error(path, "is truncated: the JPEG has no end marker");
     } else {
         using namespace std::string_view_literals;
         facts.streams = false;
-        for (std::string_view magic : {"II*\0"sv, "MM\0*"sv, "II+\0"sv, "MM\0+"sv, "#?"sv, "SDPX"sv, "XPDS"sv, "P5"sv, "P6"sv,
+        for (std::string_view magic : {"\xff\xd8"sv, "II*\0"sv, "MM\0*"sv, "II+\0"sv, "MM\0+"sv, "#?"sv, "SDPX"sv, "XPDS"sv, "P5"sv, "P6"sv,
                                        "Pf"sv, "PF"sv, "BM"sv})
             facts.streams = facts.streams || starts(head.data(), n, magic);
     }

@@ -74,7 +74,7 @@ struct FileFacts {
     std::optional<std::array<double, 8>> chromaticities;
     bool streams = true;  ///< OpenImageIO decodes it by rows rather than as a whole
 };
-/// @error input: a JPEG without its end marker, or a PNG without IEND.
+/// @error input: unreadable.
 Result<FileFacts> read_file_facts(const std::string& path);
 
 Result<std::unique_ptr<ImageReader>> open_exr_image(const std::string& path, int threads, const Limits& limits);
