@@ -56,7 +56,7 @@ void add_colorimetry_options(App& app, ColorimetryOptions& options, const std::s
                  options.spec.matrix = *index == 0 ? RgbMatrix::integrated : RgbMatrix::standard;
                  return {};
              }});
-    auto bands = checked("--bands", "START:END:STEP|N|auto", "band centres: a grid, a number of bands over 380..780 nm, or auto, 380:780:10",
+    auto bands = checked("--bands", "START:END:STEP|N|auto", "band centres: a grid, a number of bands, or auto: 380:780:10 where bands are stored, else 380:780:5",
                          options.bands, &options.bands, [](std::string_view v) { return BandSet::parse(v); });
     bands.unit = "nm";
     app.add(std::move(bands));
