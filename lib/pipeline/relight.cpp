@@ -31,6 +31,9 @@ struct RelightSetup {
 Result<RelightSetup> RelightSetup::make(const std::string& input, const RelightOptions& options) {
     const auto kind = probe(input);
     if (!kind) return kind.error();
+    const auto unlit = [&] {
+        return Error{ErrorKind::usage, fmt::format("{}: no illuminant is given: expected one to relight under, such as -i A", input)};
+    };
     RelightSetup setup;
     setup.kind = *kind;
     setup.gamut = options.gamut;
@@ -40,6 +43,7 @@ Result<RelightSetup> RelightSetup::make(const std::string& input, const RelightO
     request.normalization = options.normalization;
 
     if (*kind == FileKind::image) {
+        if (options.illuminants.empty()) return unlit();
         auto colorimetry = Colorimetry::make(options.colorimetry, options.bands);
         if (!colorimetry) return std::move(colorimetry).error();
         setup.space = colorimetry->rgb_space();
@@ -59,6 +63,7 @@ Result<RelightSetup> RelightSetup::make(const std::string& input, const RelightO
 
     const auto info = spectral_source_info(input, options.job);
     if (!info) return info.error();
+    if (options.illuminants.empty() && !info->header.emissive) return unlit();
     const auto space = find_rgb_space(info->colorimetry.rgb_space);
     if (!space) return space.error();
     setup.space = *space;

@@ -219,6 +219,8 @@ Layouts lay_out(const UpliftSetup& setup, const UpliftOptions& options, bool pre
         common["spectralLayoutVersion"] = std::string("1.0");
         common["EV"] = 0.0f;
         common["spectex:kernel"] = std::string("linear");
+        // What the bands were solved for, a lamp of the user's own included.
+        common["spectex:solvedFor"] = setup.model->to_json();
         for (std::size_t i = 0; i < stored; ++i) {
             data.channels.push_back({setup.plan.channel_names()[i], type});
             data_planes.push_back(i);
