@@ -8,9 +8,9 @@
 
 namespace spectex::kernels {
 
-/// Rounds reflectances to half so that the rounding errors of a pixel's bands cancel in three integrals. Rounding each band
-/// to nearest leaves an error of 2^-12 in every one; here each band is rounded after adding what would cancel the error that
-/// the bands before it left (error diffusion, as Floyd and Steinberg 1976 in space, here over wavelength with vector
+/// Rounds reflectances to half so that the rounding errors of a pixel's bands do not add up in three integrals. Bands are
+/// rounded to nearest; where a pixel's integrals lose more by that than a small bound, its bands are rounded once more, each
+/// after adding what would cancel the error that the bands before it left (error diffusion, as Floyd and Steinberg 1976 in space, here over wavelength with vector
 /// errors), at most one unit in the last place. Errors count relative to their component, so that a dark one is kept as well. Bands go from the largest weights to the smallest, so that the last ones
 /// leave next to nothing. Values stay in [0, 1] where they were.
 ///
