@@ -132,11 +132,9 @@ int main(int argc, char** argv) {
                 list.push_back({{"output", o.path}, {"illuminant", o.illuminant}, {"type", pixel_type_name(o.type)},
                                 {"colorspace", o.colorspace}, {"clipped", o.clipped}});
             }
-            if (list.size() == 1) {
-                json.update(list[0]);
-            } else {
-                json["output"] = list[0]["output"];
-            }
+            json["output"] = list[0]["output"];
+            if (list.size() == 1)
+                for (const char* key : {"illuminant", "type", "clipped"}) json[key] = list[0][key];
             json["outputs"] = std::move(list);
             return json;
         });

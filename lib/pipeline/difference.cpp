@@ -164,7 +164,7 @@ Result<DifferenceReport> compare_roundtrip(const std::string& input, const Uplif
                 for (std::size_t i = 0; i < stored; ++i) planes.push_back(samples.data() + i * size * sample);
                 Counts counts;
                 if (auto s = setup->convert(b.raw, y, begin, size, scratch, planes, counts); !s) {
-                    error.set({s.error().kind, fmt::format("{}: {}", input, s.error().message)});
+                    error.check(s);
                     return;
                 }
                 totals.add(counts, y, width);

@@ -214,20 +214,11 @@ Result<RelightReport> relight(const std::string& input, const std::vector<std::s
                         std::copy_n(in[c], size, scratch.rgb[c].data());
                         rgb[c] = scratch.rgb[c].data();
                     }
-                    const auto bad = replace_nonfinite(rgb, size, counts.nonfinite);
-                    if (counts.nonfinite > 0) counts.first_nonfinite = begin + bad;
-                    GamutCounts gamut;
-                    const auto& m = setup.model->colorimetry().rgb_to_xyz();
-                    if (const auto outside = map_into_gamut(rgb, size, setup.gamut, {m(1, 0), m(1, 1), m(1, 2)}, gamut)) {
-                        const std::size_t p = begin + *outside;
-                        error.set({ErrorKind::input,
-                                   fmt::format("{}: pixel {},{} is outside 0..1 in linear {}, where reflectances lie; --gamut "
-                                               "clip or desaturate maps it",
-                                               input, p % static_cast<std::size_t>(width),
-                                               p / static_cast<std::size_t>(width) + static_cast<std::size_t>(y), setup.space.name)});
+                    if (auto mapped = map_colors(rgb, size, setup.gamut, setup.model->colorimetry(), {input, y, begin, width}, counts);
+                        !mapped) {
+                        error.check(mapped);
                         return;
                     }
-                    counts.out_of_gamut = gamut.out_of_gamut;
                     coefficient_planes(*setup.model, {rgb[0], rgb[1], rgb[2]}, size, coefficients);
                     in.clear();
                     for (const auto& plane : coefficients) in.push_back(plane.data());

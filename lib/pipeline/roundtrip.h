@@ -25,6 +25,18 @@ struct Counts {
     std::size_t first_nonfinite = std::numeric_limits<std::size_t>::max();  ///< index within the strip
 };
 
+/// Where a group of pixels lies, so that a message can name one of them.
+struct GroupPlace {
+    const std::string& path;
+    int strip_y;
+    std::size_t begin;  ///< of the group within the strip, in pixels
+    int width;
+};
+/// Makes n colours finite and puts them into the gamut, in place; counts.
+/// @error input, naming file, pixel and value, under GamutPolicy::error.
+Status map_colors(std::array<float*, 3> rgb, std::size_t n, GamutPolicy policy, const Colorimetry& colorimetry,
+                  const GroupPlace& place, Counts& counts);
+
 /// Sums over groups that finish in any order.
 class CountTotals {
 public:

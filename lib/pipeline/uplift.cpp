@@ -67,6 +67,25 @@ Result<UpliftSetup> UpliftSetup::make(const std::string& input, const UpliftSett
     return UpliftSetup(*std::move(source), *std::move(model), *std::move(plan), settings.gamut);
 }
 
+Status map_colors(std::array<float*, 3> rgb, std::size_t n, GamutPolicy policy, const Colorimetry& colorimetry,
+                  const GroupPlace& place, Counts& counts) {
+    std::uint64_t replaced = 0;
+    if (const auto first = replace_nonfinite(rgb, n, replaced); replaced > 0)
+        counts.first_nonfinite = std::min(counts.first_nonfinite, place.begin + first);
+    counts.nonfinite += replaced;
+    const auto& to_xyz = colorimetry.rgb_to_xyz();
+    GamutCounts gamut;
+    const auto outside = map_into_gamut(rgb, n, policy, {to_xyz(1, 0), to_xyz(1, 1), to_xyz(1, 2)}, gamut);
+    counts.out_of_gamut += gamut.out_of_gamut;
+    if (!outside) return {};
+    const auto width = static_cast<std::size_t>(place.width), p = place.begin + *outside;
+    return Error{ErrorKind::input,
+                 fmt::format("{}: pixel {},{} is ({}, {}, {}) in linear {}: expected 0 to 1, where reflectances lie; --gamut clip "
+                             "or desaturate maps it",
+                             place.path, p % width, p / width + static_cast<std::size_t>(place.strip_y), rgb[0][*outside],
+                             rgb[1][*outside], rgb[2][*outside], colorimetry.rgb_space().name)};
+}
+
 Status UpliftSetup::convert(const RawStrip& raw, int y, std::size_t begin, std::size_t n, Scratch& scratch,
                             std::span<std::byte* const> planes, Counts& counts) const {
     std::vector<const float*> decoded;
@@ -77,24 +96,9 @@ Status UpliftSetup::convert(const RawStrip& raw, int y, std::size_t begin, std::
         std::copy_n(decoded[c], n, scratch.input[c].data());
         std::copy_n(decoded[c], n, scratch.rgb[c].data());
     }
-    const auto& to_xyz = model->colorimetry().rgb_to_xyz();
-    GamutCounts gamut_counts;
     const std::array<float*, 3> rgb{scratch.rgb[0].data(), scratch.rgb[1].data(), scratch.rgb[2].data()};
-    std::uint64_t replaced = 0;
-    if (const auto first = replace_nonfinite(rgb, n, replaced); replaced > 0)
-        counts.first_nonfinite = std::min(counts.first_nonfinite, begin + first);
-    const auto outside = map_into_gamut(rgb, n, gamut, {to_xyz(1, 0), to_xyz(1, 1), to_xyz(1, 2)}, gamut_counts);
-    counts.nonfinite += replaced;
-    counts.out_of_gamut += gamut_counts.out_of_gamut;
-    if (outside) {
-        const auto width = static_cast<std::size_t>(source->geometry().width);
-        const std::size_t p = begin + *outside;
-        return Error{ErrorKind::input,
-                     fmt::format("pixel {},{} is ({}, {}, {}) in linear {}: expected 0 to 1, where reflectances lie; "
-                                 "--gamut clip or desaturate maps it",
-                                 p % width, p / width + static_cast<std::size_t>(y), scratch.input[0][*outside], scratch.input[1][*outside],
-                                 scratch.input[2][*outside], model->colorimetry().rgb_space().name)};
-    }
+    const auto report = source->report();
+    if (auto s = map_colors(rgb, n, gamut, model->colorimetry(), {report.path, y, begin, report.width}, counts); !s) return s;
     plan.store({rgb[0], rgb[1], rgb[2]}, n, planes);
     return {};
 }
