@@ -20,6 +20,8 @@ const std::vector<Entry>& table() {
     static const std::vector<Entry> entries{
         mallett2019(),
         mallett2019_published(),
+        smits1999_exact(),
+        smits1999(),
     };
     return entries;
 }

@@ -21,6 +21,8 @@ struct Entry {
 
 Entry mallett2019();
 Entry mallett2019_published();
+Entry smits1999();
+Entry smits1999_exact();
 
 /// The members that every model starts with: format, method, bands, observer, illuminant, rgb_space, matrix. An illuminant
 /// that its name does not bring back (a file, a mixture) carries its power.
