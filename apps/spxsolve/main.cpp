@@ -17,6 +17,7 @@ struct Request {
     std::vector<std::string> what;
     app::ColorimetryOptions colorimetry;
     std::string objective = "first", output, certificate;
+    std::int64_t n = 9;
 };
 
 Json describe(const Colorimetry& c) {
@@ -130,34 +131,93 @@ int primaries(app::App& tool, const Request& request) {
     return app::exit_ok;
 }
 
+int lattice(app::App& tool, const Request& request) {
+    const auto bands = request.colorimetry.band_set();
+    if (!bands) return tool.report(bands.error());
+    const auto c = Colorimetry::make(request.colorimetry.spec, *bands);
+    if (!c) return tool.report(c.error());
+    LatticeOptions options;
+    options.n = static_cast<std::size_t>(request.n);
+    const auto sets = lattice_sample_sets();
+    if (!sets) return tool.report(sets.error());
+    std::string names;
+    for (const auto& set : *sets) names += fmt::format("{}{} ({})", names.empty() ? "" : ", ", set.name, set.samples.size());
+    tool.explain("spxsolve lattice",
+                 std::vector<std::pair<std::string, std::string>>{
+                     {"colorimetry", c->describe()},
+                     {"samples", names},
+                     {"vertices", fmt::format("{}^3, uniform in linear RGB", options.n)},
+                     {"objective", fmt::format("distance from the samples near the vertex's colour, under their covariance plus "
+                                               "{:g}, and {:g} times squared first differences",
+                                               options.ridge, options.smoothness)},
+                     {"subject to", "A r = rgb, 0 <= r <= 1"},
+                     {"then", "the nearest spectrum that meets A r = rgb to rounding"}});
+    const auto table = solve_lattice(*c, *sets, options);
+    if (!table) return tool.report(table.error());
+    // The largest step between neighbouring bands, and how many values lie on a bound.
+    double step = 0;
+    std::size_t bounds = 0;
+    for (std::size_t i = 0; i < table->vertices.size(); ++i) {
+        const double r = table->vertices[i];
+        bounds += r == 0 || r == 1;
+        if (i % table->values != 0) step = std::max(step, std::abs(r - table->vertices[i - 1]));
+    }
+    const auto bytes = encode_lattice(*table, *c);
+    if (const auto written = write_text_file(request.output, bytes); !written) return tool.report(written.error(), request.output);
+    Json json{{"what", "lattice"}};
+    json.update(describe(*c));
+    json["n"] = options.n;
+    json["vertices"] = table->vertices.size() / table->values;
+    json["largest_step"] = step;
+    json["values_at_a_bound"] = bounds;
+    json["bytes"] = bytes.size();
+    json["output"] = request.output;
+    tool.note(fmt::format("{}: {} vertices of {} bands, {} bytes; {}", request.output, table->vertices.size() / table->values,
+                          table->values, bytes.size(), c->describe()));
+    tool.note(fmt::format("largest step between bands {:.3f}; {} values at a bound", step, bounds));
+    tool.record(std::move(json));
+    return app::exit_ok;
+}
+
 }  // namespace
 
 int main(int argc, char** argv) {
     app::App tool({"spxsolve",
-                   "primaries -o FILE.csv|FILE.json [options]",
+                   "primaries -o FILE.csv|FILE.json [options] | lattice -o FILE.bin [options]",
                    "Solves for the spectra behind a method, to the optimum, or proves that there are none.",
                    {{"spxsolve primaries -o srgb.csv", "the three spectra of mallett2019 at 5 nm"},
                     {"spxsolve primaries --observer cie2006-10 --bands 380:780:1 --objective second -o b.json", ""},
                     {"spxsolve primaries --rgb-space Rec.2020 --certificate proof.json -o b.csv",
-                     "why there are none for Rec.2020 (exit 2)"}}});
+                     "why there are none for Rec.2020 (exit 2)"},
+                    {"spxsolve lattice -o lattice.bin", "the spectra at the 729 vertices of the method lattice"}}});
     Request request;
     request.colorimetry.bands = "380:780:5";
-    tool.positional("WHAT", &request.what, 1, 1, "primaries: three reflectances in [0,1] that sum to 1 and are the RGB primaries");
+    tool.positional("WHAT", &request.what, 1, 1, "primaries: three reflectances in [0,1] that sum to 1 and are the RGB primaries; lattice: one at each vertex of a "
+                    "lattice over the RGB cube");
     tool.choice("--objective", "ORDER", &request.objective, {"first", "second"},
-                "smoothness: the squared differences of this order are least");
-    tool.add({.names = "-o,--output", .metavar = "FILE", .text = "CSV (wavelength_nm,r,g,b), or JSON by its suffix",
+                "primaries: the squared differences of this order are least");
+    tool.integer("--n", "N", &request.n, 2, 65, "lattice: vertices along each axis");
+    tool.add({.names = "-o,--output", .metavar = "FILE", .text = "primaries: CSV (wavelength_nm,r,g,b), or JSON by its suffix; lattice: .bin",
               .required = true, .set = [&](std::string_view value) -> Status {
-                  if (!value.ends_with(".csv") && !value.ends_with(".json")) return app::expected("FILE.csv or FILE.json", value);
+                  if (!value.ends_with(".csv") && !value.ends_with(".json") && !value.ends_with(".bin"))
+                      return app::expected("FILE.csv, FILE.json or FILE.bin", value);
                   request.output = value;
                   return {};
               }});
     tool.text("--certificate", "FILE", &request.certificate, "where there are no such spectra, write the proof as JSON");
     app::add_colorimetry_options(tool, request.colorimetry);
     return tool.main(argc, argv, [&] {
-        if (request.what[0] != "primaries")
-            return tool.usage_error(fmt::format("expected primaries, got '{}'", app::escape(request.what[0])));
+        const bool wants_lattice = request.what[0] == "lattice";
+        if (!wants_lattice && request.what[0] != "primaries")
+            return tool.usage_error(fmt::format("expected primaries or lattice, got '{}'", app::escape(request.what[0])));
+        if (wants_lattice != request.output.ends_with(".bin"))
+            return tool.usage_error(fmt::format("-o: expected {} for {}, got '{}'", wants_lattice ? "FILE.bin" : "FILE.csv or FILE.json",
+                                                request.what[0], app::escape(request.output)));
+        for (const char* option : {"--objective", "--certificate"})
+            if (wants_lattice && tool.given(option)) return tool.usage_error(fmt::format("{} is for primaries", option));
+        if (!wants_lattice && tool.given("--n")) return tool.usage_error("--n is for lattice");
         const std::array<app::NamedOutput, 2> outputs{{{"-o", request.output}, {"--certificate", request.certificate}}};
         if (auto fine = app::check_outputs({}, outputs); !fine) return tool.report(fine.error());
-        return primaries(tool, request);
+        return wants_lattice ? lattice(tool, request) : primaries(tool, request);
     });
 }

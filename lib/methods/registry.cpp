@@ -20,6 +20,7 @@ const std::vector<Entry>& table() {
     static const std::vector<Entry> entries{
         mallett2019(),
         mallett2019_published(),
+        lattice(),
         smits1999_exact(),
         smits1999(),
     };

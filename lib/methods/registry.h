@@ -21,6 +21,7 @@ struct Entry {
 
 Entry mallett2019();
 Entry mallett2019_published();
+Entry lattice();
 Entry smits1999();
 Entry smits1999_exact();
 

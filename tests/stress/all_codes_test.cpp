@@ -154,7 +154,10 @@ struct Case {
     const char* reason;
 };
 
-TEST(AllCodes, MallettThroughStorage) {
+class ThroughStorage : public testing::TestWithParam<const char*> {};
+
+TEST_P(ThroughStorage, NoCodeChanges) {
+    const char* method = GetParam();
     const Case cases[] = {
         {"380:780:5", Store::coefficients, PixelType::float32, 1e-4, "rounding of 2^-24 in each component"},
         {"380:780:5", Store::coefficients, PixelType::half, 0.06, "2^-12 in each component, 500/3 of it in a*"},
@@ -172,14 +175,16 @@ TEST(AllCodes, MallettThroughStorage) {
     };
     for (const auto& c : cases) {
         Worst worst;
-        measure("mallett2019", *BandSet::parse(c.grid), c.store, c.type, worst);
+        measure(method, *BandSet::parse(c.grid), c.store, c.type, worst);
         EXPECT_LE(worst.max, c.bound) << c.grid << " " << c.reason;
         EXPECT_EQ(worst.changed, 0u) << c.grid;
-        printf("mallett2019 %-12s %-11s %-7s max CIE76 %.3g changed %llu\n", c.grid,
+        printf("%s %-12s %-11s %-7s max CIE76 %.3g changed %llu\n", method, c.grid,
                c.store == Store::spectral ? "bands" : "coefficient", pixel_type_name(c.type).data(), worst.max,
                static_cast<unsigned long long>(worst.changed));
     }
 }
+
+INSTANTIATE_TEST_SUITE_P(Exact, ThroughStorage, testing::Values("mallett2019", "lattice"));
 
 /// Float storage of a method that claims exactness: as coefficients, where 2^-24 of each matters, and as bands.
 void expect_exact(const char* method, std::initializer_list<const char*> grids) {

@@ -1,4 +1,5 @@
-// Convex programmes behind the spectra: spectral primaries as a quadratic programme, with a certificate where there are none.
+// Convex programmes behind the spectra: spectral primaries as a quadratic programme, with a certificate where there are none,
+// and the lattice's vertices as one small quadratic programme each.
 #pragma once
 
 #include <span>
@@ -6,6 +7,7 @@
 #include <vector>
 
 #include "spectex/base.h"
+#include "spectex/methods.h"
 #include "spectex/spectral.h"
 
 namespace spectex {
@@ -57,5 +59,43 @@ SPECTEX_API Result<PrimariesOutcome> solve_primaries(const Colorimetry& colorime
 
 /// The objective of three (or any) spectra, [spectra][bands]: the sum of their squared differences, in long double.
 SPECTEX_API double squared_differences(std::span<const double> spectra, const BandSet& bands, Smoothness smoothness);
+
+/// Measured reflectances of one origin, dimensionless.
+struct SampleSet {
+    std::string name;
+    std::vector<double> wavelengths_nm;        ///< ascending
+    std::vector<std::vector<double>> samples;  ///< [samples][wavelengths]
+};
+/// The sets from which the shipped lattices learn: vrhel, koivisto, krinov, nickerson, macbeth.
+SPECTEX_API Result<std::vector<SampleSet>> lattice_sample_sets();
+
+/// The recipe. Defaults were chosen by leaving out one set of the five at a time and predicting its colours under 404 lamps.
+struct LatticeOptions {
+    std::size_t n = 9;         ///< vertices per axis, 2..65
+    double reach = 0.15;       ///< colour distance, in hundreds of Lab, at which a sample's weight begins to fall
+    double lightness = 0.5;    ///< weight of L* beside a* and b* in that distance
+    double decay = 4;          ///< exponent of the fall
+    double ridge = 1e-4;       ///< variance of what the samples do not explain, per band of 5 nm
+    double smoothness = 200;   ///< weight of squared first differences between bands 5 nm apart
+    bool operator==(const LatticeOptions&) const = default;
+};
+
+/// Spectra at the vertices of a uniform lattice over the linear RGB cube, each the most natural exact metamer of its colour:
+///
+///     minimise (r - m)^T (C + ridge I)^-1 (r - m) + smoothness |D1 r|^2   subject to   A r = rgb,  0 <= r <= 1
+///
+/// with m and C the mean and covariance of the samples, each sample weighted by (1 + d^2 / reach^2)^-decay / (size of its set),
+/// d the distance from the vertex in (lightness L*, a*, b*) / 100 under the colorimetry's own white. Samples are held at their
+/// ends; those outside the cube are left out. Ridge and smoothness follow the spacing of the bands, so that both keep their
+/// limit on fine grids. Black is 0 and white is 1. Interior point per vertex, then the exact metamer nearest to its result:
+/// |A r - rgb| <= 1e-12, bounds exact. Deterministic for any number of threads.
+/// @error usage, for options out of range; infeasible, naming a vertex that has no reflectance in [0,1] and its least
+/// violation; input, when no samples lie inside the cube or the numerics fail.
+SPECTEX_API Result<LatticeTable> solve_lattice(const Colorimetry& colorimetry, std::span<const SampleSet> sets,
+                                               const LatticeOptions& options = {});
+
+/// A uniform lattice as bytes: 'SPXLATT1', the length of a JSON header (32 bits, little-endian), the header with n, bands and
+/// colorimetry, then [r][g][b][bands] reflectances as 16-bit little-endian fractions of 65535.
+SPECTEX_API std::string encode_lattice(const LatticeTable& table, const Colorimetry& colorimetry);
 
 }  // namespace spectex
