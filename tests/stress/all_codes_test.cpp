@@ -235,7 +235,7 @@ TEST(AllCodes, StoredHalvesIntegratedIndependently) {
         std::vector<reference::Real> hat(nm.size(), 0);
         hat[b] = 1;
         weights.push_back(reference::xyz(cmf, light, 380, 780, [&](auto l) { return reference::interpolate(nm, hat, l); }));
-        for (int c = 0; c < 3; ++c) white[c] += weights.back()[c];
+        for (std::size_t c = 0; c < 3; ++c) white[c] += weights.back()[c];
     }
     const reference::Real y = white[1];
     for (auto& w : weights)
@@ -257,7 +257,7 @@ TEST(AllCodes, StoredHalvesIntegratedIndependently) {
         for (std::uint32_t i = 0; i < block; ++i) {
             reference::Vec3 xyz{};
             for (std::size_t b = 0; b < plan.channels(); ++b)
-                for (int c = 0; c < 3; ++c) xyz[c] += weights[b][c] * samples[b * block + i];
+                for (std::size_t c = 0; c < 3; ++c) xyz[c] += weights[b][c] * samples[b * block + i];
             const reference::Vec3 rgb{in[0][i], in[1][i], in[2][i]};
             const auto d = reference::delta_e76(reference::lab(reference::multiply(to_xyz, rgb), white), reference::lab(xyz, white));
             largest = d <= largest ? largest : static_cast<double>(d);

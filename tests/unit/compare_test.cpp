@@ -23,7 +23,6 @@ namespace {
 
 using namespace spectex;
 
-constexpr double inf = std::numeric_limits<double>::infinity();
 constexpr double nan = std::numeric_limits<double>::quiet_NaN();
 constexpr Vector3 d65{0.95047, 1, 1.08883};
 // BT.709 to XYZ under D65, to the digits that IEC 61966-2-1 prints: only an example matrix here.

@@ -64,29 +64,29 @@ using Mat3 = std::array<std::array<Real, 3>, 3>;
 
 inline Vec3 multiply(const Mat3& m, const Vec3& v) {
     Vec3 r{};
-    for (int i = 0; i < 3; ++i)
-        for (int j = 0; j < 3; ++j) r[i] += m[i][j] * v[j];
+    for (std::size_t i = 0; i < 3; ++i)
+        for (std::size_t j = 0; j < 3; ++j) r[i] += m[i][j] * v[j];
     return r;
 }
 
 /// Solves m x = v by Gaussian elimination with pivoting.
 inline Vec3 solve(Mat3 m, Vec3 v) {
-    for (int k = 0; k < 3; ++k) {
-        int pivot = k;
-        for (int i = k + 1; i < 3; ++i)
+    for (std::size_t k = 0; k < 3; ++k) {
+        std::size_t pivot = k;
+        for (std::size_t i = k + 1; i < 3; ++i)
             if (std::fabs(m[i][k]) > std::fabs(m[pivot][k])) pivot = i;
         std::swap(m[k], m[pivot]);
         std::swap(v[k], v[pivot]);
-        for (int i = k + 1; i < 3; ++i) {
+        for (std::size_t i = k + 1; i < 3; ++i) {
             const Real f = m[i][k] / m[k][k];
-            for (int j = k; j < 3; ++j) m[i][j] -= f * m[k][j];
+            for (std::size_t j = k; j < 3; ++j) m[i][j] -= f * m[k][j];
             v[i] -= f * v[k];
         }
     }
     Vec3 x{};
-    for (int i = 2; i >= 0; --i) {
+    for (std::size_t i = 3; i-- > 0;) {
         x[i] = v[i];
-        for (int j = i + 1; j < 3; ++j) x[i] -= m[i][j] * x[j];
+        for (std::size_t j = i + 1; j < 3; ++j) x[i] -= m[i][j] * x[j];
         x[i] /= m[i][i];
     }
     return x;
@@ -100,7 +100,7 @@ Vec3 xyz(const Table& cmf, const Light& light, int start, int end, const Reflect
     for (std::size_t i = 0; i < cmf.nm.size(); ++i) {
         if (cmf.nm[i] < start || cmf.nm[i] > end) continue;
         const Real p = light(cmf.nm[i]) * r(cmf.nm[i]);
-        for (int c = 0; c < 3; ++c) sum[c] += p * cmf.column.at(names[c])[i];
+        for (std::size_t c = 0; c < 3; ++c) sum[c] += p * cmf.column.at(names[c])[i];
     }
     return sum;
 }
@@ -109,14 +109,14 @@ Vec3 xyz(const Table& cmf, const Light& light, int start, int end, const Reflect
 inline Mat3 bt709_to_xyz(const Vec3& white) {
     const Real xy[3][2] = {{0.64L, 0.33L}, {0.30L, 0.60L}, {0.15L, 0.06L}};
     Mat3 p{};
-    for (int j = 0; j < 3; ++j) {
+    for (std::size_t j = 0; j < 3; ++j) {
         p[0][j] = xy[j][0] / xy[j][1];
         p[1][j] = 1;
         p[2][j] = (1 - xy[j][0] - xy[j][1]) / xy[j][1];
     }
     const Vec3 s = solve(p, white);
     for (auto& row : p)
-        for (int j = 0; j < 3; ++j) row[j] *= s[j];
+        for (std::size_t j = 0; j < 3; ++j) row[j] *= s[j];
     return p;
 }
 

@@ -141,12 +141,12 @@ TEST(Illuminants, ParseEverySpecification) {
 TEST(Illuminants, PlanckAndAAreTheSameBody) {
     // CIE A is Planck at 2848 K with c2 = 1.435e-2: at today's c2 that is 2848 * 1.438776877 / 1.435 = 2855.496 K.
     const auto p = white_of("P:2855.4956"), a = white_of("A");
-    for (int i = 0; i < 3; ++i) EXPECT_NEAR(p[i], a[i], 1e-6);
+    for (std::size_t i = 0; i < 3; ++i) EXPECT_NEAR(p[i], a[i], 1e-6);
 }
 
 TEST(Illuminants, MixtureIsOfEqualLuminance) {
     const auto a = white_of("A"), f = white_of("FL11"), mix = white_of("0.7*A+0.3*FL11");
-    for (int i = 0; i < 3; ++i) EXPECT_NEAR(mix[i], 0.7 * a[i] + 0.3 * f[i], 2e-3 * a[i]);  // FL11's steps to zero at 380 and 780
+    for (std::size_t i = 0; i < 3; ++i) EXPECT_NEAR(mix[i], 0.7 * a[i] + 0.3 * f[i], 2e-3 * a[i]);  // FL11's steps to zero at 380 and 780
 }
 
 class IlluminantFiles : public ::testing::Test {
@@ -237,7 +237,7 @@ TEST(Colorimetry, AgreesWithIndependentSumsInLongDouble) {
             for (auto& v : xyz) v /= white[1];
             const auto rgb = reference::solve(to_xyz, xyz);
             const auto ours = c.rgb_of(r);
-            for (int i = 0; i < 3; ++i)
+            for (std::size_t i = 0; i < 3; ++i)
                 EXPECT_NEAR(ours[i], static_cast<double>(rgb[i]), 1e-14) << spec;  // 100 roundings of 1e-16, compensated
         }
     }
@@ -270,7 +270,7 @@ TEST(RgbSpaces, AreFoundByEverySpelling) {
 TEST(RgbSpaces, StandardMatrixIsTheIecs) {
     const auto c = *Colorimetry::make({"cie1931", "", "sRGB", RgbMatrix::standard}, BandSet());
     const double iec[9] = {0.4124, 0.3576, 0.1805, 0.2126, 0.7152, 0.0722, 0.0193, 0.1192, 0.9505};
-    for (int i = 0; i < 9; ++i) EXPECT_NEAR(c.rgb_to_xyz().m[i], iec[i], 5.1e-5);  // printed to four decimals
+    for (std::size_t i = 0; i < 9; ++i) EXPECT_NEAR(c.rgb_to_xyz().m[i], iec[i], 5.1e-5);  // printed to four decimals
 }
 
 TEST(Luts, AreTheSameBuiltInAndOnDisk) {
