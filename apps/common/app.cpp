@@ -376,12 +376,12 @@ std::optional<int> App::parse(int argc, char** argv) {
             if (auto set = row.option.set(value); !set)
                 return report({set.error().kind, fmt::format("{}: {}", row.names.back(), set.error().message)});
     }
+    const std::array<NamedOutput, 1> json{{{"--json", json_path_}}};
+    if (auto checked = check_outputs({}, json); !checked) return report(checked.error());
     if (auto assigned = assign_positionals(std::move(arguments)); !assigned) return report(assigned.error());
     for (const auto& row : rows_)
         if (row.option.required && row.count == 0)
             return usage_error(fmt::format("{}: expected {}, got nothing", row.names.back(), row.option.metavar));
-    const std::array<NamedOutput, 1> json{{{"--json", json_path_}}};
-    if (auto checked = check_outputs({}, json); !checked) return report(checked.error());
     return std::nullopt;
 }
 

@@ -125,6 +125,8 @@ public:
     void record(Json object);
     /// Whether --json was given: costly figures may depend on it.
     bool wants_json() const { return !json_path_.empty(); }
+    /// For check_outputs: empty without --json, `-` for standard output.
+    const std::string& json_path() const { return json_path_; }
 
     /// A bar on a terminal; nothing in a pipe or with --quiet.
     Progress progress(std::string_view label) const;

@@ -133,7 +133,7 @@ Result<std::vector<Job>> plan_outputs(std::span<const std::string> inputs, std::
                 variants.empty() ? std::string(output) : expand_illuminant(output, variants[i]);
             std::string path = target;
             if (is_folder(target)) {
-                const std::string tag = variants.empty() || placed ? "" : "_" + file_name_part(variants[i]);
+                const std::string tag = variants.empty() || placed ? "" : fmt::format("_{}", file_name_part(variants[i]));
                 path = (fs::path(target) / (stem(input) + tag + std::string(suffix))).string();
             } else if (inputs.size() > 1 || target.ends_with('/')) {
                 if (fs::exists(target))
@@ -146,7 +146,7 @@ Result<std::vector<Job>> plan_outputs(std::span<const std::string> inputs, std::
                 return Error{ErrorKind::usage, fmt::format("-o: {} illuminants need '{{illuminant}}' in the output's name, got '{}'",
                                                            variants.size(), target)};
             }
-            named.push_back({fmt::format("'{}'{}", input, variants.size() > 1 ? " under " + variants[i] : ""), path});
+            named.push_back({fmt::format("'{}'{}", input, variants.size() > 1 ? fmt::format(" under {}", variants[i]) : ""), path});
             job.outputs.push_back(std::move(path));
         }
         jobs.push_back(std::move(job));
