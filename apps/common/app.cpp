@@ -404,7 +404,6 @@ int App::main(int argc, char** argv, const std::function<int()>& body) {
 Result<std::vector<std::string>> App::inputs(std::span<const std::string> arguments) {
     auto files = expand_inputs(arguments);
     if (!files) return files;
-    many_ = files->size() > 1;
     const std::array<NamedOutput, 1> json{{{"--json", json_path_}}};
     if (auto checked = check_outputs(*files, json); !checked) return checked.error();
     return files;

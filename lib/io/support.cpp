@@ -175,7 +175,8 @@ void assign_channels(ImageHeader& header) {
             found = true;
         }
     }
-    if (!found && names.size() == 1 && names[0].base_lower != "z" && names[0].base_lower != "depth") {
+    const auto no_colour = {"z", "depth", "a", "alpha"};
+    if (!found && names.size() == 1 && std::find(no_colour.begin(), no_colour.end(), names[0].base_lower) == no_colour.end()) {
         header.color = {0, 0, 0};
         found = true;
     }

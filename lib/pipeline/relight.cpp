@@ -149,6 +149,8 @@ Result<RelightReport> relight(const std::string& input, const std::vector<std::s
     if (!made) return std::move(made).error();
     auto& setup = *made;
     const std::size_t images = setup.plan->images();
+    if (images == 0)
+        return Error{ErrorKind::usage, fmt::format("{}: no illuminant to light it by: expected -i with one at least", input)};
     if (outputs.size() != images)
         return Error{ErrorKind::usage,
                      setup.emissive ? fmt::format("{}: emission is reprojected, not lit: expected one output, not {}", input, outputs.size())

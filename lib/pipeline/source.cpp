@@ -141,10 +141,30 @@ private:
     std::size_t pixel_bytes_ = reader_->header().channels.size() * spectex::pixel_bytes(reader_->header().type);
 };
 
+std::string text_attribute(const Attributes& attributes, const char* name) {
+    const auto found = attributes.find(name);
+    if (found == attributes.end()) return {};
+    const auto* text = std::get_if<std::string>(&found->second);
+    return text ? *text : std::string();
+}
+
+/// Attributes of a spectral or coefficient EXR that are not about its spectra, and so hold for a picture made from it.
+Attributes picture_attributes(const Attributes& attributes) {
+    Attributes kept;
+    for (const auto& [name, value] : attributes) {
+        const bool spectral = name.starts_with("spectex:") || name == "spectralLayoutVersion" || name == "EV" ||
+                              name == "emissiveUnits" || name == "polarisationHandedness" || parse_spectral_channel_name(name);
+        const bool encoding = name == "chromaticities" || name == "acesImageContainerFlag" || name == "ICCProfile" ||
+                              name.starts_with("oiio:") || name.starts_with("openexr:");
+        if (!spectral && !encoding) kept.emplace(name, value);
+    }
+    return kept;
+}
+
 class SpectralStripSource final : public StripSource {
 public:
     SpectralStripSource(std::unique_ptr<SpectralReader> reader, std::vector<bool> needed)
-        : reader_(std::move(reader)), needed_(std::move(needed)) {
+        : reader_(std::move(reader)), needed_(std::move(needed)), metadata_(picture_attributes(reader_->header().attributes)) {
         const auto& h = reader_->header();
         for (std::size_t i = 0; i < h.others.size(); ++i) others_.push_back({h.others[i], h.other_types[i]});
         for (const bool plane : needed_) planes_read_ += plane ? 1 : 0;
@@ -162,7 +182,8 @@ public:
     FileKind kind() const override { return reader_->header().kind; }
     PixelType type() const override { return reader_->header().type; }
     const Attributes& metadata() const override { return metadata_; }
-    bool alpha_associated() const override { return true; }
+    /// EXR means associated alpha; ours say when they passed on a texture's straight one.
+    bool alpha_associated() const override { return text_attribute(reader_->header().attributes, "spectex:alpha") != "straight"; }
     const std::vector<OtherChannel>& others() const override { return others_; }
     int preferred_rows() const override { return reader_->preferred_rows(); }
     std::size_t raw_bytes_per_row() const override {
@@ -212,18 +233,11 @@ public:
 private:
     std::unique_ptr<SpectralReader> reader_;
     std::vector<bool> needed_;
+    Attributes metadata_;
     std::size_t planes_read_ = 0;
     std::vector<OtherChannel> others_;
-    Attributes metadata_;
     Explanation explanation_;
 };
-
-std::string text_attribute(const Attributes& attributes, const char* name) {
-    const auto found = attributes.find(name);
-    if (found == attributes.end()) return {};
-    const auto* text = std::get_if<std::string>(&found->second);
-    return text ? *text : std::string();
-}
 
 }  // namespace
 
