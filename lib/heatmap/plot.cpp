@@ -223,10 +223,7 @@ Result<std::string> plot_spectra_svg(std::span<const Curve> curves, std::string_
     const double plot_width = right - left;
 
     const auto px = [&](double nm) { return left + plot_width * ((nm - x_range.low) / (x_range.high - x_range.low)); };
-    const auto py = [&](double v) {
-        // Halves first, because a range of two large values of either sign may overflow.
-        return bottom - plot_height * ((v / 2 - y_range.low / 2) / (y_range.high / 2 - y_range.low / 2));
-    };
+    const auto py = [&](double v) { return bottom - plot_height * ((v - y_range.low) / (y_range.high - y_range.low)); };
 
     std::vector<double> stops_nm;
     constexpr int stops = 96;

@@ -262,6 +262,9 @@ TEST(Resize, BoxKeepsLightAndNearestKeepsCodes) {
     ASSERT_TRUE(smaller);
     // Codes near the mean of 0.4 are 0.006 of linear light apart; 210 roundings of up to half of that average out to 1e-3.
     EXPECT_NEAR(light(*smaller), light(noise), 1e-3);
+    const auto thirds = resize(Picture{3, 1, {0, 0, 0, 255, 255, 255, 0, 0, 0}}, 2, 1, Filter::box);
+    ASSERT_TRUE(thirds);
+    for (const int x : {0, 1}) EXPECT_EQ(pixel(*thirds, x, 0)[0], std::lround(255 * srgb_encode(1.0 / 3))) << x;
     EXPECT_FALSE(resize(noise, 0, 5, Filter::box));
     EXPECT_FALSE(resize(noise, 5, 70000, Filter::box));
     EXPECT_FALSE(resize(Picture{4, 4, {1, 2, 3}}, 2, 2, Filter::nearest));
@@ -284,6 +287,11 @@ TEST(Canvas, FillsPastesAndClips) {
     EXPECT_EQ(pixel(*picture, 5, 5), (Rgb8{1, 2, 3}));
     EXPECT_EQ(pixel(*picture, 17, 8), (Rgb8{1, 2, 3}));
     EXPECT_EQ(pixel(*picture, 19, 9), (Rgb8{255, 0, 0}));
+    canvas->paste(Picture{2, 2, {1, 1, 1, 2, 2, 2, 3, 3, 3, 4, 4, 4}}, -1, -1);
+    const auto corner = canvas->picture();
+    ASSERT_TRUE(corner);
+    EXPECT_EQ(pixel(*corner, 0, 0), (Rgb8{4, 4, 4}));
+    EXPECT_EQ(pixel(*corner, 1, 0), (Rgb8{255, 0, 0}));
     canvas->paste(Picture{3, 3, {}}, 0, 0);
     EXPECT_FALSE(canvas->picture());
     EXPECT_FALSE(Canvas::make(0, 5));
@@ -350,7 +358,7 @@ void expect_clear_border(const Picture& p, int ring) {
 TEST(LegendPicture, InkStaysInsideTheMarginsAtEverySize) {
     const auto map = find_color_map("magma");
     ASSERT_TRUE(map);
-    for (const int height : {192, 193, 250, 511, 512, 1080, 1200, 4096})
+    for (const int height : {192, 512, 1200, 4096})
         for (const auto& [low, high] : {std::pair{0.0, 35.0}, {0.0, 2e-5}, {0.0, 0.06}, {-3.0, 3.0}, {1e6, 1.5e6}, {-1e-9, 0.0}})
             for (const bool extended : {false, true}) {
                 Legend legend{low, high, "CIE76 ΔE*ab", {"mean\t0.0213", "p99 0.1"}, extended, extended, extended};
@@ -364,7 +372,8 @@ TEST(LegendPicture, InkStaysInsideTheMarginsAtEverySize) {
 TEST(LegendPicture, EnoughRoomForNotesAtEveryHeight) {
     const auto map = find_color_map("magma");
     ASSERT_TRUE(map);
-    for (int height = minimum_map_height(); height < 1100; height += height < 600 ? 1 : 37) {
+    // Below 528 rows the text keeps its size, so that the first height is the tightest; above, rounding decides.
+    for (int height = minimum_map_height(); height < 1000; height = std::max(528, height + 13)) {
         const auto four = draw_legend(*map, {0, 35, "Title", {"a", "b", "c", "d"}, false, false, false}, height);
         ASSERT_TRUE(four) << four.error().message;
         const auto two = draw_legend(*map, {0, 2e-5, "Title", {"a", "b"}, true, true, true}, height);
@@ -666,6 +675,9 @@ TEST(SpectrumPlot, RefusesBadCurves) {
         bad.wavelengths_nm[1] = l;
         EXPECT_TRUE(refused({curve(3, 0, 1, 1), bad})) << l;
     }
+    bad = curve(3, 0, 1, 1);
+    bad.wavelengths_nm.back() = infinity;
+    EXPECT_TRUE(refused({bad})) << "ascending, but no axis reaches it";
     bad = curve(3, 0, 1, 1);
     bad.values[1] = 1e301;
     EXPECT_TRUE(refused({bad}));
