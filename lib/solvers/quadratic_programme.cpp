@@ -75,9 +75,14 @@ public:
         work_.diagonal().array() += rho;
         hessian_.compute(work_);
         if (hessian_.info() != Eigen::Success) return false;
+        // Eigen takes references to elements of matrices that have none.
+        if (C_.rows() == 0) {
+            eliminated_.resize(P_.rows(), 0);
+            return true;
+        }
         eliminated_ = hessian_.solve(C_.transpose());
         schur_.compute(C_ * eliminated_ + rho * Dense<Scalar>::Identity(C_.rows(), C_.rows()));
-        return C_.rows() == 0 || schur_.info() == Eigen::Success;
+        return schur_.info() == Eigen::Success;
     }
     void solve(const Vector<Scalar>& a, const Vector<Scalar>& b, Vector<Scalar>& u, Vector<Scalar>& v) const {
         const Vector<Scalar> t = hessian_.solve(a);
