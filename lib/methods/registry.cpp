@@ -23,6 +23,8 @@ const std::vector<Entry>& table() {
         lattice(),
         smits1999_exact(),
         smits1999(),
+        jakob2019(),
+        jakob2019_table(),
     };
     return entries;
 }

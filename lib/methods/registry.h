@@ -24,6 +24,8 @@ Entry mallett2019_published();
 Entry lattice();
 Entry smits1999();
 Entry smits1999_exact();
+Entry jakob2019();
+Entry jakob2019_table();
 
 /// The members that every model starts with: format, method, bands, observer, illuminant, rgb_space, matrix. An illuminant
 /// that its name does not bring back (a file, a mixture) carries its power.

@@ -1,0 +1,382 @@
+#include "kernels/sigmoid.h"
+
+#include <algorithm>
+#include <cmath>
+#include <cstdint>
+#include <cstring>
+
+#undef HWY_TARGET_INCLUDE
+#define HWY_TARGET_INCLUDE "kernels/sigmoid.cpp"
+#include "hwy/foreach_target.h"
+#include "hwy/highway.h"
+
+#include "kernels/simd-inl.h"
+
+HWY_BEFORE_NAMESPACE();
+namespace spectex::kernels::HWY_NAMESPACE {
+
+// Of the residual before the last step, relative to the largest component: so small that the step can only leave rounding;
+// small enough for the foresight below to hold, and what it may foresee to be left.
+constexpr double surely_small = 1e-9, near_enough = 1e-6, accepted_rest = 1e-12;
+
+// Square roots and divisions of so many bands are begun before the first is used: one band's dependent operations would fill
+// a processor's scheduler while they wait.
+constexpr std::size_t bands_at_once = 8;
+
+void Evaluate(const double* coefficients, std::size_t n, const double* t, std::size_t bands, double* out) {
+    const hn::ScalableTag<double> d;
+    const std::size_t lanes = hn::Lanes(d);
+    const auto one = hn::Set(d, 1.0), half = hn::Set(d, 0.5), saturation = hn::Set(d, sigmoid_saturation);
+    double last[HWY_MAX_BYTES / sizeof(double)];
+    for (std::size_t i = 0; i < n; ++i, coefficients += 3, out += bands) {
+        double c[3];
+        for (int k = 0; k < 3; ++k) {
+            const double v = coefficients[k];
+            c[k] = v >= -0x1p100 ? std::min(v, 0x1p100) : -0x1p100;
+        }
+        const auto c0 = hn::Set(d, c[0]), c1 = hn::Set(d, c[1]), c2 = hn::Set(d, c[2]);
+        const auto value = [&](hn::Vec<decltype(d)> at) HWY_ATTR {
+            const auto x = hn::Add(hn::Mul(hn::Add(hn::Mul(c0, at), c1), at), c2);
+            const auto magnitude = hn::Abs(x);
+            const auto root = hn::Sqrt(hn::Add(one, hn::Mul(x, x)));
+            // 1/2 - |x| / (2 sqrt(1 + x^2)) without the cancellation.
+            auto tail = hn::Div(half, hn::Mul(root, hn::Add(root, magnitude)));
+            tail = hn::IfThenElseZero(hn::Lt(magnitude, saturation), tail);
+            return hn::IfThenElse(hn::Lt(x, hn::Zero(d)), tail, hn::Sub(one, tail));
+        };
+        std::size_t b = 0;
+        for (; b + lanes <= bands; b += lanes) hn::StoreU(value(hn::LoadU(d, t + b)), d, out + b);
+        if (b < bands) {
+            std::fill(last, last + lanes, 0.0);
+            std::memcpy(last, t + b, (bands - b) * sizeof(double));
+            hn::StoreU(value(hn::LoadU(d, last)), d, last);
+            std::memcpy(out + b, last, (bands - b) * sizeof(double));
+        }
+    }
+}
+
+// As many colours as a vector holds floats; their doubles come in two vectors, which are one and the same on the target that
+// has one lane of either.
+template <class DF>
+struct Colors {
+#if HWY_TARGET == HWY_SCALAR
+    using DD = hn::Rebind<double, DF>;
+#else
+    using DD = hn::Repartition<double, DF>;
+#endif
+    using VD = hn::Vec<DD>;
+    using VF = hn::Vec<DF>;
+    struct Pair {
+        VD lower, upper;
+    };
+
+    HWY_INLINE static VF narrow([[maybe_unused]] DF df, const Pair& v) {
+        const hn::Rebind<float, DD> dh;
+#if HWY_TARGET == HWY_SCALAR
+        return round_to_float(dh, v.lower);
+#else
+        return hn::Combine(df, round_to_float(dh, v.upper), round_to_float(dh, v.lower));
+#endif
+    }
+    HWY_INLINE static Pair widen([[maybe_unused]] DF df, VF v) {
+        const DD dd;
+#if HWY_TARGET == HWY_SCALAR
+        return {hn::PromoteTo(dd, v), hn::PromoteTo(dd, v)};
+#else
+        const hn::Half<DF> dh;
+        return {hn::PromoteTo(dd, hn::LowerHalf(dh, v)), hn::PromoteTo(dd, hn::UpperHalf(dh, v))};
+#endif
+    }
+};
+
+/// Solves j x = f, with j row-major, by Cramer's rule.
+template <class D, class V>
+HWY_INLINE void Solve(D d, const V* j, const V* f, V* x) {
+    const auto minor = [](V a, V b, V p, V q) HWY_ATTR { return hn::Sub(hn::Mul(a, b), hn::Mul(p, q)); };
+    const V c00 = minor(j[4], j[8], j[5], j[7]), c01 = minor(j[2], j[7], j[1], j[8]), c02 = minor(j[1], j[5], j[2], j[4]);
+    const V c10 = minor(j[5], j[6], j[3], j[8]), c11 = minor(j[0], j[8], j[2], j[6]), c12 = minor(j[2], j[3], j[0], j[5]);
+    const V c20 = minor(j[3], j[7], j[4], j[6]), c21 = minor(j[1], j[6], j[0], j[7]), c22 = minor(j[0], j[4], j[1], j[3]);
+    const auto dot = [](V a, V u, V b, V v, V c, V w) HWY_ATTR {
+        return hn::Add(hn::Add(hn::Mul(a, u), hn::Mul(b, v)), hn::Mul(c, w));
+    };
+    const V inverse = hn::Div(hn::Set(d, 1.0), dot(j[0], c00, j[1], c10, j[2], c20));
+    x[0] = hn::Mul(dot(c00, f[0], c01, f[1], c02, f[2]), inverse);
+    x[1] = hn::Mul(dot(c10, f[0], c11, f[1], c12, f[2]), inverse);
+    x[2] = hn::Mul(dot(c20, f[0], c21, f[1], c22, f[2]), inverse);
+}
+
+/// f = 2 (sum a S - q) at c, and with it twice the derivative by c, row-major.
+template <bool with_jacobian, class DF, class C = Colors<DF>>
+HWY_INLINE void Residual(DF df, const SigmoidBand* bands, std::size_t count, const double* sum, const typename C::Pair* c,
+                         const typename C::Pair* q, typename C::VD* fl, typename C::VD* fu, typename C::VD* jl,
+                         typename C::VD* ju) {
+    using VF = typename C::VF;
+    using VD = typename C::VD;
+    using Pair = typename C::Pair;
+    const typename C::DD dd;
+    const VF one_f = hn::Set(df, 1.0f);
+    const VD one = hn::Set(dd, 1.0), half = hn::Set(dd, 0.5), three_halves = hn::Set(dd, 1.5);
+    const VD cl0 = c[0].lower, cl1 = c[1].lower, cl2 = c[2].lower;
+    const VD cu0 = c[0].upper, cu1 = c[1].upper, cu2 = c[2].upper;
+    VD fl0 = hn::Zero(dd), fl1 = fl0, fl2 = fl0, fu0 = fl0, fu1 = fl0, fu2 = fl0;
+    [[maybe_unused]] VF j00 = hn::Zero(df), j01 = j00, j02 = j00, j10 = j00, j11 = j00, j12 = j00, j20 = j00, j21 = j00,
+                        j22 = j00;
+    VD xl[bands_at_once], xu[bands_at_once];
+    VF roots[bands_at_once];
+    for (std::size_t b = 0; b < count; ++b) {
+        const std::size_t slot = b % bands_at_once;
+        if (slot == 0) {
+            for (std::size_t k = 0; k < std::min(bands_at_once, count - b); ++k) {
+                const VD t = hn::Set(dd, bands[b + k].t);
+                xl[k] = hn::Add(hn::Mul(hn::Add(hn::Mul(cl0, t), cl1), t), cl2);
+                xu[k] = hn::Add(hn::Mul(hn::Add(hn::Mul(cu0, t), cu1), t), cu2);
+                const VF x = C::narrow(df, Pair{xl[k], xu[k]});
+                roots[k] = hn::Div(one_f, hn::Sqrt(hn::Add(one_f, hn::Mul(x, x))));
+            }
+        }
+        const SigmoidBand& band = bands[b];
+        const VF y = roots[slot];
+        if constexpr (with_jacobian) {
+            const VF g = hn::Mul(hn::Mul(y, y), y);
+            const VF tf = hn::Set(df, band.t_single), tt = hn::Set(df, band.t_squared_single);
+            const VF u0 = hn::Mul(hn::Set(df, band.a_single[0]), g);
+            const VF u1 = hn::Mul(hn::Set(df, band.a_single[1]), g);
+            const VF u2 = hn::Mul(hn::Set(df, band.a_single[2]), g);
+            j02 = hn::Add(j02, u0), j12 = hn::Add(j12, u1), j22 = hn::Add(j22, u2);
+            j01 = hn::Add(j01, hn::Mul(u0, tf)), j11 = hn::Add(j11, hn::Mul(u1, tf)), j21 = hn::Add(j21, hn::Mul(u2, tf));
+            j00 = hn::Add(j00, hn::Mul(u0, tt)), j10 = hn::Add(j10, hn::Mul(u1, tt)), j20 = hn::Add(j20, hn::Mul(u2, tt));
+        }
+        // y to double precision by one Newton step for y^-2 = 1 + x^2: a relative error e becomes 3/2 e^2.
+        const Pair yw = C::widen(df, y);
+        const auto product = [&](VD xw, VD y0) HWY_ATTR {
+            const VD v = hn::Mul(hn::Add(one, hn::Mul(xw, xw)), hn::Mul(y0, y0));
+            return hn::Mul(hn::Mul(xw, y0), hn::Sub(three_halves, hn::Mul(half, v)));
+        };
+        const VD sl = product(xl[slot], yw.lower), su = product(xu[slot], yw.upper);
+        const VD a0 = hn::Set(dd, band.a[0]), a1 = hn::Set(dd, band.a[1]), a2 = hn::Set(dd, band.a[2]);
+        fl0 = hn::Add(fl0, hn::Mul(a0, sl)), fu0 = hn::Add(fu0, hn::Mul(a0, su));
+        fl1 = hn::Add(fl1, hn::Mul(a1, sl)), fu1 = hn::Add(fu1, hn::Mul(a1, su));
+        fl2 = hn::Add(fl2, hn::Mul(a2, sl)), fu2 = hn::Add(fu2, hn::Mul(a2, su));
+    }
+    // 2 sum a S = sum a (1 + x y).
+    const auto rest = [&](int k, VD f, VD target) HWY_ATTR {
+        return hn::Sub(hn::Add(hn::Set(dd, sum[k]), f), hn::Add(target, target));
+    };
+    fl[0] = rest(0, fl0, q[0].lower), fl[1] = rest(1, fl1, q[1].lower), fl[2] = rest(2, fl2, q[2].lower);
+    fu[0] = rest(0, fu0, q[0].upper), fu[1] = rest(1, fu1, q[1].upper), fu[2] = rest(2, fu2, q[2].upper);
+    if constexpr (with_jacobian) {
+        const VF j[9] = {j00, j01, j02, j10, j11, j12, j20, j21, j22};
+        for (int k = 0; k < 9; ++k) {
+            const Pair p = C::widen(df, j[k]);
+            jl[k] = p.lower, ju[k] = p.upper;
+        }
+    }
+}
+
+void Refine(const SigmoidEquations& equations, const double* const* q, std::size_t n, double* const* c,
+            bool from_table, bool* accepted) {
+    using DF = hn::ScalableTag<float>;
+    using C = Colors<DF>;
+    const DF df;
+    using Pair = typename C::Pair;
+    using VF = typename C::VF;
+    using VD = typename C::VD;
+    const typename C::DD dd;
+    const hn::RebindToSigned<decltype(df)> di;
+    const hn::RebindToSigned<decltype(dd)> dl;
+    const std::size_t lanes = hn::Lanes(df), second = lanes - hn::Lanes(dd);
+    const SigmoidBand* bands = equations.bands.data();
+    const std::size_t count = equations.bands.size();
+    const auto resolution = static_cast<std::int32_t>(equations.resolution);
+    const float* table = equations.table.data();
+    const VF one_f = hn::Set(df, 1.0f);
+    
+    for (std::size_t begin = 0; begin < n; begin += lanes) {
+        const std::size_t used = std::min(lanes, n - begin);
+        double staged[3][HWY_MAX_BYTES / sizeof(float)];
+        Pair target[3], coefficient[3];
+        for (int i = 0; i < 3; ++i) {
+            const double* from = q[i] + begin;
+            if (used < lanes) {
+                std::fill_n(staged[i], lanes, i == 0 ? 0.5 : 0.25);  // any colour that converges
+                std::copy_n(from, used, staged[i]);
+                from = staged[i];
+            }
+            target[i] = {hn::LoadU(dd, from), hn::LoadU(dd, from + second)};
+        }
+        const auto largest = [&](VD a, VD b, VD e) HWY_ATTR { return hn::Max(hn::Max(a, b), e); };
+        const Pair z{largest(target[0].lower, target[1].lower, target[2].lower),
+                     largest(target[0].upper, target[1].upper, target[2].upper)};
+        if (from_table) {
+            const VF zf = C::narrow(df, z);
+            VF guess[3];
+            {
+                const VF f0 = C::narrow(df, target[0]), f1 = C::narrow(df, target[1]), f2 = C::narrow(df, target[2]);
+                const auto is_first = hn::Ge(f0, hn::Max(f1, f2)), is_second = hn::Ge(f1, f2);
+                const VF u = hn::IfThenElse(is_first, f1, hn::IfThenElse(is_second, f2, f0));
+                const VF v = hn::IfThenElse(is_first, f2, hn::IfThenElse(is_second, f0, f1));
+                const VF last = hn::Set(df, static_cast<float>(resolution - 1));
+                const VF w = hn::Sqrt(zf), scale = hn::Div(last, zf);
+                VF fraction[3];
+                hn::Vec<decltype(di)> cell[3];
+                const VF position[3] = {hn::Mul(u, scale), hn::Mul(v, scale), hn::Mul(w, last)};
+                for (int k = 0; k < 3; ++k) {
+                    const VF p = hn::Min(hn::Max(position[k], hn::Zero(df)), last);
+                    cell[k] = hn::Min(hn::ConvertTo(di, p), hn::Set(di, resolution - 2));
+                    fraction[k] = hn::Sub(p, hn::ConvertTo(df, cell[k]));
+                }
+                const auto block = hn::IfThenElse(hn::RebindMask(di, is_first), hn::Zero(di),
+                                                  hn::IfThenElse(hn::RebindMask(di, is_second), hn::Set(di, 1), hn::Set(di, 2)));
+                const auto r = hn::Set(di, resolution);
+                const auto index = hn::ShiftLeft<2>(hn::Add(
+                    hn::Mul(hn::Add(hn::Mul(hn::Add(hn::Mul(block, r), cell[2]), r), cell[1]), r), cell[0]));
+                const std::int32_t dx = 4, dy = 4 * resolution, dz = 4 * resolution * resolution;
+                const auto blend = [&](VF a, VF b, VF f) HWY_ATTR { return hn::Add(a, hn::Mul(f, hn::Sub(b, a))); };
+                const VF inverse_w = hn::Div(one_f, w);
+                for (int k = 0; k < 3; ++k) {
+                    const auto at = [&](std::int32_t offset) HWY_ATTR { return hn::GatherIndex(df, table + k + offset, index); };
+                    const VF near = blend(blend(at(0), at(dx), fraction[0]), blend(at(dy), at(dy + dx), fraction[0]), fraction[1]);
+                    const VF far = blend(blend(at(dz), at(dz + dx), fraction[0]), blend(at(dz + dy), at(dz + dy + dx), fraction[0]),
+                                         fraction[1]);
+                    guess[k] = hn::Mul(blend(near, far, fraction[2]), inverse_w);
+                }
+            }
+
+            // A step in single precision.
+            {
+                VF f0 = hn::Zero(df), f1 = f0, f2 = f0;
+                VF j00 = f0, j01 = f0, j02 = f0, j10 = f0, j11 = f0, j12 = f0, j20 = f0, j21 = f0, j22 = f0;
+                const VF c0 = guess[0], c1 = guess[1], c2 = guess[2];
+                VF xs[bands_at_once], roots[bands_at_once];
+                for (std::size_t b = 0; b < count; ++b) {
+                    const std::size_t slot = b % bands_at_once;
+                    if (slot == 0) {
+                        for (std::size_t k = 0; k < std::min(bands_at_once, count - b); ++k) {
+                            const VF t = hn::Set(df, bands[b + k].t_single);
+                            xs[k] = hn::Add(hn::Mul(hn::Add(hn::Mul(c0, t), c1), t), c2);
+                            roots[k] = hn::Div(one_f, hn::Sqrt(hn::Add(one_f, hn::Mul(xs[k], xs[k]))));
+                        }
+                    }
+                    const SigmoidBand& band = bands[b];
+                    const VF t = hn::Set(df, band.t_single), tt = hn::Set(df, band.t_squared_single);
+                    const VF a0 = hn::Set(df, band.a_single[0]), a1 = hn::Set(df, band.a_single[1]),
+                             a2 = hn::Set(df, band.a_single[2]);
+                    const VF x = xs[slot], y = roots[slot];
+                    const VF s = hn::Mul(x, y), g = hn::Mul(hn::Mul(y, y), y);
+                    f0 = hn::Add(f0, hn::Mul(a0, s));
+                    f1 = hn::Add(f1, hn::Mul(a1, s));
+                    f2 = hn::Add(f2, hn::Mul(a2, s));
+                    const VF u0 = hn::Mul(a0, g), u1 = hn::Mul(a1, g), u2 = hn::Mul(a2, g);
+                    j02 = hn::Add(j02, u0), j12 = hn::Add(j12, u1), j22 = hn::Add(j22, u2);
+                    j01 = hn::Add(j01, hn::Mul(u0, t)), j11 = hn::Add(j11, hn::Mul(u1, t)), j21 = hn::Add(j21, hn::Mul(u2, t));
+                    j00 = hn::Add(j00, hn::Mul(u0, tt)), j10 = hn::Add(j10, hn::Mul(u1, tt)), j20 = hn::Add(j20, hn::Mul(u2, tt));
+                }
+                const VF j[9] = {j00, j01, j02, j10, j11, j12, j20, j21, j22};
+                const VF f[3] = {f0, f1, f2};
+                Pair jw[9], fw[3];
+                for (int k = 0; k < 9; ++k) jw[k] = C::widen(df, j[k]);
+                for (int k = 0; k < 3; ++k) {
+                    // 2 sum a S = sum a (1 + x y).
+                    const VD sum = hn::Set(dd, equations.sum[static_cast<std::size_t>(k)]);
+                    fw[k] = C::widen(df, f[k]);
+                    fw[k].lower = hn::Sub(hn::Add(sum, fw[k].lower), hn::Add(target[k].lower, target[k].lower));
+                    fw[k].upper = hn::Sub(hn::Add(sum, fw[k].upper), hn::Add(target[k].upper, target[k].upper));
+                }
+                VD jl[9], ju[9], step_l[3], step_u[3];
+                for (int k = 0; k < 9; ++k) jl[k] = jw[k].lower, ju[k] = jw[k].upper;
+                const VD fl[3] = {fw[0].lower, fw[1].lower, fw[2].lower}, fu[3] = {fw[0].upper, fw[1].upper, fw[2].upper};
+                Solve(dd, jl, fl, step_l);
+                Solve(dd, ju, fu, step_u);
+                for (int k = 0; k < 3; ++k) {
+                    coefficient[k] = C::widen(df, guess[k]);
+                    coefficient[k].lower = hn::Sub(coefficient[k].lower, step_l[k]);
+                    coefficient[k].upper = hn::Sub(coefficient[k].upper, step_u[k]);
+                }
+            }
+        } else {
+            for (int k = 0; k < 3; ++k) {
+                const double* from = c[k] + begin;
+                if (used < lanes) {
+                    std::fill_n(staged[k], lanes, 0.0);
+                    std::copy_n(from, used, staged[k]);
+                    from = staged[k];
+                }
+                coefficient[k] = {hn::LoadU(dd, from), hn::LoadU(dd, from + second)};
+            }
+        }
+
+        VD jl[9], ju[9], fl[3], fu[3], step_l[3], step_u[3];
+        const auto advance = [&]() HWY_ATTR {
+            Solve(dd, jl, fl, step_l);
+            Solve(dd, ju, fu, step_u);
+            for (int k = 0; k < 3; ++k) {
+                coefficient[k].lower = hn::Sub(coefficient[k].lower, step_l[k]);
+                coefficient[k].upper = hn::Sub(coefficient[k].upper, step_u[k]);
+            }
+        };
+        const auto size = [](const VD* f) HWY_ATTR { return hn::Add(hn::Add(hn::Abs(f[0]), hn::Abs(f[1])), hn::Abs(f[2])); };
+        Residual<true>(df, bands, count, equations.sum.data(), coefficient, target, fl, fu, jl, ju);
+        const VD before_l = size(fl), before_u = size(fu);
+        advance();
+        Residual<false>(df, bands, count, equations.sum.data(), coefficient, target, fl, fu, jl, ju);
+        advance();
+        // The Newton step took a residual R to R' = K R^2; a step by its Jacobian, off by 2 K R, leaves about 2 R'^2 / R.
+        const auto flag = [&](VD before, VD after, VD largest_component) HWY_ATTR {
+            const auto small = hn::Le(after, hn::Mul(hn::Set(dd, surely_small), largest_component));
+            const auto left = hn::Mul(hn::Set(dd, 4.0), hn::Mul(after, after));
+            const auto foreseen = hn::Le(left, hn::Mul(hn::Mul(hn::Set(dd, accepted_rest), largest_component), before));
+            const auto near = hn::Le(after, hn::Mul(hn::Set(dd, near_enough), largest_component));
+            return hn::IfThenElseZero(hn::RebindMask(dl, hn::Or(small, hn::And(foreseen, near))),
+                                      hn::Set(dl, std::int64_t{1}));
+        };
+        const auto taken_l = flag(before_l, size(fl), z.lower), taken_u = flag(before_u, size(fu), z.upper);
+        std::int64_t taken[HWY_MAX_BYTES / sizeof(float)];
+        hn::StoreU(taken_l, dl, taken);
+        hn::StoreU(taken_u, dl, taken + second);
+        for (std::size_t i = 0; i < used; ++i) accepted[begin + i] = taken[i] != 0;
+        for (int k = 0; k < 3; ++k) {
+            double* to = used < lanes ? staged[k] : c[k] + begin;
+            hn::StoreU(coefficient[k].lower, dd, to);
+            hn::StoreU(coefficient[k].upper, dd, to + second);
+            if (used < lanes) std::copy_n(staged[k], used, c[k] + begin);
+        }
+    }
+}
+
+}  // namespace spectex::kernels::HWY_NAMESPACE
+HWY_AFTER_NAMESPACE();
+
+#if HWY_ONCE
+namespace spectex::kernels {
+
+HWY_EXPORT(Evaluate);
+HWY_EXPORT(Refine);
+
+double sigmoid(double x) {
+    const double magnitude = std::fabs(x), root = std::sqrt(1 + x * x);
+    const double tail = magnitude < sigmoid_saturation ? 0.5 / (root * (root + magnitude)) : 0;
+    return x >= 0 ? 1 - tail : tail;
+}
+
+void evaluate_sigmoids(std::span<const double> coefficients, std::span<const double> t, std::span<double> out) {
+    HWY_DYNAMIC_DISPATCH(Evaluate)(coefficients.data(), coefficients.size() / 3, t.data(), t.size(), out.data());
+}
+
+void evaluate_sigmoids_reference(std::span<const double> coefficients, std::span<const double> t, std::span<double> out) {
+    for (std::size_t i = 0; i < coefficients.size() / 3; ++i) {
+        double c[3];
+        for (std::size_t k = 0; k < 3; ++k) {
+            const double v = coefficients[3 * i + k];
+            c[k] = std::isnan(v) ? -0x1p100 : std::clamp(v, -0x1p100, 0x1p100);
+        }
+        for (std::size_t b = 0; b < t.size(); ++b) out[i * t.size() + b] = sigmoid((c[0] * t[b] + c[1]) * t[b] + c[2]);
+    }
+}
+
+void refine_sigmoids(const SigmoidEquations& equations, std::array<const double*, 3> q, std::size_t n,
+                     std::array<double*, 3> c, bool from_table, bool* accepted) {
+    HWY_DYNAMIC_DISPATCH(Refine)(equations, q.data(), n, c.data(), from_table, accepted);
+}
+
+}  // namespace spectex::kernels
+#endif

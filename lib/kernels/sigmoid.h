@@ -1,0 +1,62 @@
+// Reflectances that are sigmoids of quadratics (Jakob and Hanika 2019, eq. 3 and 4): r(t) = S(c0 t^2 + c1 t + c2),
+// S(x) = 1/2 + x / (2 sqrt(1 + x^2)), and the search for the coefficients whose integrals are given.
+//
+// Only correctly rounded operations are used (no fused multiply-add, no estimates), each colour is treated alone, and sums
+// run in the order of the bands: the bytes written depend neither on how the work is cut into calls nor on the instruction
+// set.
+#pragma once
+
+#include <array>
+#include <cstddef>
+#include <span>
+#include <vector>
+
+namespace spectex::kernels {
+
+/// From |x| = 2^80 on S(x) is exactly 0 or 1: 1 - S(2^80) = 2^-162 is below every float.
+inline constexpr double sigmoid_saturation = 0x1p80;
+
+/// S(x), with full relative precision of S below zero and of 1 - S above. S(NaN) = 0.
+double sigmoid(double x);
+
+/// out[i][b] = S at t_b. Coefficients beyond 2^100, infinite ones included, count as 2^100; NaN counts as -2^100.
+/// @param coefficients  [n][3] c0, c1, c2.
+/// @param t             [bands]
+/// @param out           [n][bands], each in [0,1].
+void evaluate_sigmoids(std::span<const double> coefficients, std::span<const double> t, std::span<double> out);
+void evaluate_sigmoids_reference(std::span<const double> coefficients, std::span<const double> t, std::span<double> out);
+
+/// A band of the equations, in both precisions.
+struct SigmoidBand {
+    SigmoidBand(double t_, const std::array<double, 3>& a_)
+        : t(t_), a(a_), t_single(static_cast<float>(t_)), t_squared_single(static_cast<float>(t_ * t_)),
+          a_single{static_cast<float>(a_[0]), static_cast<float>(a_[1]), static_cast<float>(a_[2])} {}
+    double t;
+    std::array<double, 3> a;
+    float t_single, t_squared_single;
+    std::array<float, 3> a_single;
+};
+
+/// The three equations sum_b a_i(b) S(x(t_b)) = q_i, and a table of near solutions.
+struct SigmoidEquations {
+    std::vector<SigmoidBand> bands;
+    std::array<double, 3> sum{};  ///< sum_b a_i(b)
+
+    /// Coefficients times sqrt(z) on a grid over (block, w, y, x): the block is the index of the largest component z of q,
+    /// w = sqrt(z), x and y are the next two components (cyclically) over z; each axis even over [0,1]. Four floats a
+    /// vertex: c0, c1, c2 and padding. With the factor the table has a limit at black.
+    std::size_t resolution = 0;
+    std::vector<float> table;
+};
+
+/// Steps of Newton's method for the equations of n colours: one in single precision from the table's guess; one with the
+/// residual in double and the Jacobian in single; one more with the residual in double and that same Jacobian.
+/// @param q           three planes of n; the largest component z of a colour in [1e-5, 1].
+/// @param c           three planes of n: the coefficients.
+/// @param from_table  false: start from c, with the second step.
+/// @param accepted    [n]: whether the residuals before and after the second step foretell that the last left no more than
+///                    1e-12 z beside the sums' own rounding, some 1e-15; otherwise c is to be refined again, or is of no use.
+void refine_sigmoids(const SigmoidEquations& equations, std::array<const double*, 3> q, std::size_t n,
+                     std::array<double*, 3> c, bool from_table, bool* accepted);
+
+}  // namespace spectex::kernels

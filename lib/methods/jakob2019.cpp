@@ -1,0 +1,521 @@
+// Jakob and Hanika, 'A Low-Dimensional Function Space for Efficient Spectral Upsampling', Computer Graphics Forum 38(2), 2019,
+// doi:10.1111/cgf.13626: r(l) = S(c0 l^2 + c1 l + c2) (eq. 3 and 4).
+//
+// The map from coefficients to colours is one to one onto the interior of the object-colour solid wherever the observer's
+// spectral locus is convex, and the primaries of BT.709 lie inside the solid of CIE 1931: every colour but black and white
+// has finite coefficients, corners included, and Newton's method finds them. Reflectances come in pairs r and 1 - r, with
+// colours p and A1 - p and coefficients c and -c, so only the darker half of the cube is solved. Towards black r tends to
+// 1 / (4 x^2), so that c sqrt(z) has a limit.
+#include "methods/jakob2019.h"
+
+#include <fmt/format.h>
+#include <tbb/parallel_for.h>
+#include <tbb/task_arena.h>
+
+#include <algorithm>
+#include <cmath>
+#include <mutex>
+
+#include "methods/registry.h"
+#include "spectex/coefficient_table.h"
+
+namespace spectex::jakob2019 {
+namespace {
+
+/// Below it the kernel's residual, formed by 1/2 + x / (2 sqrt(1 + x^2)), is too coarse beside the colour.
+constexpr double darkest_in_kernel = 1e-5;
+/// sqrt(z) of the vertices that stand for black: close enough to the limit that the difference, of the order of z, is less
+/// than a float resolves.
+constexpr double darkest_vertex = 1e-4;
+constexpr std::size_t coarse_resolution = 9, fine_resolution = 49;
+constexpr std::size_t block = 512;
+
+double norm(const Vector3& v) { return std::sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2]); }
+
+bool solve3(const Matrix3& m, const Vector3& f, Vector3& x) {
+    const double c0 = m(1, 1) * m(2, 2) - m(1, 2) * m(2, 1), c1 = m(1, 2) * m(2, 0) - m(1, 0) * m(2, 2),
+                 c2 = m(1, 0) * m(2, 1) - m(1, 1) * m(2, 0);
+    const double determinant = m(0, 0) * c0 + m(0, 1) * c1 + m(0, 2) * c2;
+    x = {(c0 * f[0] + (m(0, 2) * m(2, 1) - m(0, 1) * m(2, 2)) * f[1] + (m(0, 1) * m(1, 2) - m(0, 2) * m(1, 1)) * f[2]) /
+             determinant,
+         (c1 * f[0] + (m(0, 0) * m(2, 2) - m(0, 2) * m(2, 0)) * f[1] + (m(0, 2) * m(1, 0) - m(0, 0) * m(1, 2)) * f[2]) /
+             determinant,
+         (c2 * f[0] + (m(0, 1) * m(2, 0) - m(0, 0) * m(2, 1)) * f[1] + (m(0, 0) * m(1, 1) - m(0, 1) * m(1, 0)) * f[2]) /
+             determinant};
+    return std::isfinite(x[0]) && std::isfinite(x[1]) && std::isfinite(x[2]);
+}
+
+/// Lab over XYZ / white: CIE 15:2018 eq. 8.3..8.6, and the derivative.
+double lab_f(double t) { return t > 216.0 / 24389 ? std::cbrt(t) : t * 841 / 108 + 4.0 / 29; }
+double lab_slope(double t) { return t > 216.0 / 24389 ? 1 / (3 * std::cbrt(t) * std::cbrt(t)) : 841.0 / 108; }
+
+}  // namespace
+
+Solver::Solver(const Colorimetry& colorimetry, Bare)
+    : rgb_to_xyz_(colorimetry.rgb_to_xyz()), white_(colorimetry.white_xyz()) {
+    const auto& a = colorimetry.sensing_matrix();
+    const std::size_t n = colorimetry.bands().size();
+    equations_.bands.reserve(n);
+    for (std::size_t b = 0; b < n; ++b) {
+        nodes_.push_back((colorimetry.bands()[b] - origin_nm) / unit_nm);
+        equations_.bands.emplace_back(nodes_[b], std::array<double, 3>{a[b], a[n + b], a[2 * n + b]});
+    }
+    equations_.sum = colorimetry.rgb_of(std::vector<double>(n, 1.0));
+    // What the integrated white leaves of (1,1,1) is the rounding of the sensing matrix.
+    diffuser_is_white_ = true;
+    for (const double s : equations_.sum) diffuser_is_white_ = diffuser_is_white_ && std::fabs(s - 1) < 1e-13;
+    if (diffuser_is_white_) equations_.sum = {1, 1, 1};
+}
+
+Solver::Solver(const Colorimetry& colorimetry) : Solver(colorimetry, Bare{}) {
+    tabulate(coarse_resolution);
+    tabulate(fine_resolution);
+}
+
+std::shared_ptr<const Solver> Solver::shared(const Colorimetry& colorimetry) {
+    struct Kept {
+        std::vector<double> key;
+        std::shared_ptr<const Solver> solver;
+    };
+    static std::mutex mutex;
+    static std::vector<Kept> recent;  // latest last
+    constexpr std::size_t most = 4;
+    std::vector<double> key = colorimetry.bands().wavelengths_nm();
+    key.insert(key.end(), colorimetry.sensing_matrix().begin(), colorimetry.sensing_matrix().end());
+
+    const std::lock_guard lock(mutex);
+    auto found = std::find_if(recent.begin(), recent.end(), [&](const Kept& k) { return k.key == key; });
+    if (found != recent.end()) {
+        std::rotate(found, found + 1, recent.end());
+        return recent.back().solver;
+    }
+    // Isolated, so that this thread, which holds the lock, takes up no outer task that would wait for it.
+    std::shared_ptr<const Solver> made;
+    tbb::this_task_arena::isolate([&] { made = std::make_shared<Solver>(colorimetry); });
+    if (recent.size() == most) recent.erase(recent.begin());
+    recent.push_back({std::move(key), made});
+    return made;
+}
+
+Solver::Mirrored Solver::mirror(Vector3 p) const {
+    for (double& v : p) v = v > 0 ? std::min(v, 1.0) : 0;  // NaN to 0
+    Mirrored m;
+    m.flipped = std::max({p[0], p[1], p[2]}) + std::min({p[0], p[1], p[2]}) > 1;
+    for (std::size_t i = 0; i < 3; ++i) m.q[i] = m.flipped ? equations_.sum[i] - p[i] : p[i];
+    m.z = std::max({m.q[0], m.q[1], m.q[2]});
+    return m;
+}
+
+bool Solver::closed_form(const Mirrored& m, Vector3& c) const {
+    if (!(m.z > 0)) {
+        c = {0, 0, -saturated};
+        return true;
+    }
+    if (!diffuser_is_white_ || m.q[0] != m.q[1] || m.q[1] != m.q[2]) return false;
+    const double v = m.z;
+    c = {0, 0, std::max((v - 0.5) / std::sqrt(v * (1 - v)), -saturated)};
+    return true;
+}
+
+void Solver::residual(const Vector3& c, Vector3& f, Matrix3& jacobian) const {
+    f = {};
+    std::array<double, 9>& j = jacobian.m;
+    j = {};
+    for (const auto& band : equations_.bands) {
+        const double x = (c[0] * band.t + c[1]) * band.t + c[2];
+        const double y = 1 / std::sqrt(1 + x * x), tail = 0.5 * y * y / (1 + std::fabs(x) * y);
+        const double r = x < 0 ? tail : 1 - tail, slope = 0.5 * y * y * y;
+        for (std::size_t i = 0; i < 3; ++i) {
+            f[i] += band.a[i] * r;
+            const double w = band.a[i] * slope;
+            j[3 * i + 2] += w;
+            j[3 * i + 1] += w * band.t;
+            j[3 * i] += w * band.t * band.t;
+        }
+    }
+}
+
+bool Solver::newton(const Vector3& q, Vector3& c) const {
+    constexpr int most_steps = 60, most_halvings = 20;
+    const double z = std::max({q[0], q[1], q[2]}), goal = 1e-15 * z, enough = 1e-12 * z;
+    Vector3 f, step;
+    Matrix3 jacobian;
+    residual(c, f, jacobian);
+    for (std::size_t i = 0; i < 3; ++i) f[i] -= q[i];
+    double error = norm(f);
+    for (int k = 0; k < most_steps && !(error <= goal); ++k) {
+        if (!solve3(jacobian, f, step)) break;
+        bool better = false;
+        double share = 1;
+        for (int h = 0; h < most_halvings; ++h, share /= 2) {
+            const Vector3 next{c[0] - share * step[0], c[1] - share * step[1], c[2] - share * step[2]};
+            Vector3 g;
+            Matrix3 next_jacobian;
+            residual(next, g, next_jacobian);
+            for (std::size_t i = 0; i < 3; ++i) g[i] -= q[i];
+            if (norm(g) < error) {
+                c = next, f = g, jacobian = next_jacobian, error = norm(g);
+                better = true;
+                break;
+            }
+        }
+        if (!better) break;
+    }
+    return error <= enough;
+}
+
+/// Levenberg 1944 and Marquardt 1963 on the three components of Lab.
+void Solver::nearest(const Vector3& rgb, Vector3& c) const {
+    const Vector3 target = rgb_to_xyz_ * rgb;
+    const auto evaluate = [&](const Vector3& at, Vector3& e, Matrix3& slope) {
+        Vector3 colour;
+        Matrix3 jacobian;
+        residual(at, colour, jacobian);
+        const Vector3 xyz = rgb_to_xyz_ * colour;
+        const Matrix3 to_xyz = rgb_to_xyz_ * jacobian;
+        Vector3 d{};
+        Matrix3 s;
+        for (std::size_t i = 0; i < 3; ++i) {
+            d[i] = lab_f(xyz[i] / white_[i]) - lab_f(target[i] / white_[i]);
+            for (std::size_t k = 0; k < 3; ++k) s(i, k) = lab_slope(xyz[i] / white_[i]) / white_[i] * to_xyz(i, k);
+        }
+        constexpr Matrix3 lab{{0, 116, 0, 500, -500, 0, 0, 200, -200}};
+        e = lab * d;
+        slope = lab * s;
+        return e[0] * e[0] + e[1] * e[1] + e[2] * e[2];
+    };
+    constexpr int most_steps = 60;
+    Vector3 e;
+    Matrix3 slope;
+    double error = evaluate(c, e, slope), damping = 1e-3;
+    for (int k = 0; k < most_steps && damping < 1e12; ++k) {
+        Matrix3 normal;
+        Vector3 gradient{};
+        for (std::size_t i = 0; i < 3; ++i) {
+            for (std::size_t l = 0; l < 3; ++l) {
+                normal(i, l) = 0;
+                for (std::size_t m = 0; m < 3; ++m) normal(i, l) += slope(m, i) * slope(m, l);
+            }
+            for (std::size_t m = 0; m < 3; ++m) gradient[i] += slope(m, i) * e[m];
+        }
+        for (std::size_t i = 0; i < 3; ++i) normal(i, i) *= 1 + damping;
+        Vector3 step;
+        if (!solve3(normal, gradient, step)) break;
+        const Vector3 next{c[0] - step[0], c[1] - step[1], c[2] - step[2]};
+        Vector3 next_e;
+        Matrix3 next_slope;
+        const double next_error = evaluate(next, next_e, next_slope);
+        if (next_error < error) {
+            const bool settled = error - next_error < 1e-10 * error;
+            c = next, e = next_e, slope = next_slope, error = next_error;
+            damping /= 5;
+            if (settled) break;
+        } else {
+            damping *= 4;
+        }
+    }
+}
+
+Vector3 Solver::from_grey(const Vector3& q) const {
+    const double z = std::max({q[0], q[1], q[2]});
+    // The same colour at a middling z, from grey; then darker by quarters, and from 1e-5 on, where c sqrt(z) has
+    // settled, at once.
+    double at = std::clamp(z, 0.1, 0.5);
+    Vector3 c{0, 0, (at - 0.5) / std::sqrt(at * (1 - at))};
+    while (at > z) {
+        newton({q[0] / z * at, q[1] / z * at, q[2] / z * at}, c);
+        const double next = at < 1e-5 ? z : std::max(at / 4, z);
+        for (double& x : c) x *= std::sqrt(at / next);
+        at = next;
+    }
+    return c;
+}
+
+bool Solver::newton_or_nearest(const Mirrored& m, const Vector3& start, Vector3& c) const {
+    c = start;
+    bool reached = newton(m.q, c);
+    if (!reached) {
+        c = from_grey(m.q);
+        reached = newton(m.q, c);
+    }
+    if (!reached) {
+        c = start;
+        Vector3 rgb = m.q;
+        if (m.flipped) {
+            for (std::size_t i = 0; i < 3; ++i) rgb[i] = equations_.sum[i] - rgb[i];
+            for (double& v : c) v = -v;
+        }
+        nearest(rgb, c);
+        if (m.flipped)
+            for (double& v : c) v = -v;
+    }
+    for (double& v : c) v = std::clamp(v, -saturated, saturated);
+    return reached;
+}
+
+Vector3 Solver::guess(const Vector3& q) const {
+    const std::size_t n = equations_.resolution, largest = static_cast<std::size_t>(std::max_element(q.begin(), q.end()) - q.begin());
+    const double z = q[largest], w = std::sqrt(z);
+    const auto last = static_cast<double>(n - 1);
+    const std::array<double, 3> position{q[(largest + 1) % 3] / z * last, q[(largest + 2) % 3] / z * last, w * last};
+    std::array<std::size_t, 3> cell{};
+    std::array<double, 3> fraction{};
+    for (std::size_t k = 0; k < 3; ++k) {
+        const double p = std::clamp(position[k], 0.0, last);
+        cell[k] = std::min(static_cast<std::size_t>(p), n - 2);
+        fraction[k] = p - static_cast<double>(cell[k]);
+    }
+    Vector3 c{};
+    for (std::size_t corner = 0; corner < 8; ++corner) {
+        const std::size_t dx = corner & 1, dy = corner >> 1 & 1, dz = corner >> 2;
+        const double weight = (dx ? fraction[0] : 1 - fraction[0]) * (dy ? fraction[1] : 1 - fraction[1]) *
+                              (dz ? fraction[2] : 1 - fraction[2]);
+        const float* vertex = &equations_.table[4 * (((largest * n + cell[2] + dz) * n + cell[1] + dy) * n + cell[0] + dx)];
+        for (std::size_t i = 0; i < 3; ++i) c[i] += weight * static_cast<double>(vertex[i]) / w;
+    }
+    return c;
+}
+
+void Solver::tabulate(std::size_t n) {
+    const auto last = static_cast<double>(n - 1);
+    std::vector<float> table(4 * 3 * n * n * n);
+    tbb::parallel_for(std::size_t{0}, 3 * n, [&](std::size_t plane) {
+        const std::size_t largest = plane / n, k = plane % n;
+        const double w = std::max(static_cast<double>(k) / last, darkest_vertex), z = w * w;
+        // Only vertices of cells that hold colours with largest + smallest component <= 1 are looked at.
+        const double below = k > 0 ? static_cast<double>(k - 1) / last : 0;
+        std::vector<double> rgb, c;
+        std::vector<std::size_t> where;
+        Vector3 start{};
+        bool have_start = false;
+        for (std::size_t y = n; y-- > 0;)
+            for (std::size_t x = n; x-- > 0;) {
+                const std::size_t least = std::min(x, y);
+                const double smallest = below * below * (least > 0 ? static_cast<double>(least - 1) / last : 0);
+                if (below * below + smallest > 1) continue;
+                const std::size_t vertex = (plane * n + y) * n + x;
+                Mirrored m;
+                m.z = z;
+                m.q[largest] = z;
+                m.q[(largest + 1) % 3] = z * (static_cast<double>(x) / last);
+                m.q[(largest + 2) % 3] = z * (static_cast<double>(y) / last);
+                if (m.q[0] >= 1 && m.q[1] >= 1 && m.q[2] >= 1) continue;
+                if (equations_.resolution > 0 && z >= darkest_in_kernel) {
+                    rgb.insert(rgb.end(), m.q.begin(), m.q.end());
+                    where.push_back(vertex);
+                    continue;
+                }
+                Vector3 solution;
+                if (!closed_form(m, solution)) {
+                    if (equations_.resolution > 0)
+                        start = guess(m.q);
+                    else if (!have_start)
+                        start = {0, 0, (z - 0.5) / std::sqrt(z * (1 - z) + 1e-6)};
+                    newton_or_nearest(m, start, solution);
+                }
+                start = solution;
+                have_start = true;
+                for (std::size_t i = 0; i < 3; ++i) table[4 * vertex + i] = static_cast<float>(solution[i] * w);
+            }
+        c.resize(rgb.size());
+        solve(rgb, c);
+        for (std::size_t i = 0; i < where.size(); ++i)
+            for (std::size_t l = 0; l < 3; ++l) table[4 * where[i] + l] = static_cast<float>(c[3 * i + l] * w);
+    });
+    equations_.resolution = n;
+    equations_.table = std::move(table);
+}
+
+void Solver::solve(std::span<const double> rgb, std::span<double> out, Counts* counts) const {
+    std::array<double, 3 * block> q, c;
+    std::array<bool, block> accepted;
+    std::array<std::size_t, block> where;
+    std::array<bool, block> flipped;
+    Counts tally;
+    const auto put = [&](std::size_t i, const Vector3& solution, bool negate) {
+        for (std::size_t k = 0; k < 3; ++k) out[3 * i + k] = negate ? -solution[k] : solution[k];
+    };
+    const auto one_by_one = [&](std::size_t i, const Mirrored& m) {
+        Vector3 solution;
+        const bool reached = newton_or_nearest(m, guess(m.q), solution);
+        ++(reached ? tally.damped : tally.nearest);
+        put(i, solution, m.flipped);
+    };
+    const std::size_t n = rgb.size() / 3;
+    for (std::size_t begin = 0; begin < n; begin += block) {
+        std::size_t gathered = 0;
+        for (std::size_t i = begin; i < std::min(begin + block, n); ++i) {
+            const Mirrored m = mirror({rgb[3 * i], rgb[3 * i + 1], rgb[3 * i + 2]});
+            Vector3 solution;
+            if (closed_form(m, solution)) {
+                ++tally.closed;
+                put(i, solution, m.flipped);
+            } else if (m.z < darkest_in_kernel) {
+                one_by_one(i, m);
+            } else {
+                for (std::size_t k = 0; k < 3; ++k) q[k * block + gathered] = m.q[k];
+                flipped[gathered] = m.flipped;
+                where[gathered++] = i;
+            }
+        }
+        // Colours that need more steps are gathered again, so that none pays for its neighbours.
+        for (std::size_t pass = 0; pass < tally.passes.size() && gathered > 0; ++pass) {
+            kernels::refine_sigmoids(equations_, {&q[0], &q[block], &q[2 * block]}, gathered,
+                                     {&c[0], &c[block], &c[2 * block]}, pass == 0, accepted.data());
+            std::size_t left = 0;
+            for (std::size_t g = 0; g < gathered; ++g) {
+                if (accepted[g]) {
+                    ++tally.passes[pass];
+                    put(where[g], {c[g], c[block + g], c[2 * block + g]}, flipped[g]);
+                    continue;
+                }
+                for (std::size_t k = 0; k < 3; ++k) {
+                    q[k * block + left] = q[k * block + g];
+                    c[k * block + left] = c[k * block + g];
+                }
+                flipped[left] = flipped[g];
+                where[left++] = where[g];
+            }
+            gathered = left;
+        }
+        for (std::size_t g = 0; g < gathered; ++g)
+            one_by_one(where[g], mirror({rgb[3 * where[g]], rgb[3 * where[g] + 1], rgb[3 * where[g] + 2]}));
+    }
+    if (counts) {
+        for (std::size_t k = 0; k < tally.passes.size(); ++k) counts->passes[k] += tally.passes[k];
+        counts->closed += tally.closed;
+        counts->damped += tally.damped;
+        counts->nearest += tally.nearest;
+    }
+}
+
+Solver::Solution Solver::solve_one(const Vector3& rgb) const {
+    const Mirrored m = mirror(rgb);
+    Solution solution;
+    solution.reached = closed_form(m, solution.c);
+    if (!solution.reached) {
+        Vector3 c;
+        solution.reached = newton_or_nearest(m, from_grey(m.q), c);
+        solution.c = c;
+    }
+    if (m.flipped)
+        for (double& v : solution.c) v = -v;
+    return solution;
+}
+
+bool reaches_all_corners(const Colorimetry& colorimetry) {
+    const Solver solver(colorimetry, Solver::Bare{});
+    if (!solver.diffuser_is_white_) return false;
+    for (unsigned corner = 1; corner < 7; ++corner)
+        if (!solver.solve_one({corner & 1 ? 1.0 : 0, corner & 2 ? 1.0 : 0, corner & 4 ? 1.0 : 0}).reached) return false;
+    return true;
+}
+
+}  // namespace spectex::jakob2019
+
+namespace spectex::registry {
+namespace {
+
+/// Both variants; what they share is how a spectrum comes from stored coefficients.
+class SigmoidModel final : public Model {
+public:
+    SigmoidModel(const MethodInfo& info, const Colorimetry& colorimetry, bool table)
+        : Model(info, colorimetry), from_table_(table) {
+        for (const double nm : colorimetry.bands().wavelengths_nm())
+            nodes_.push_back((nm - jakob2019::origin_nm) / jakob2019::unit_nm);
+    }
+
+    void reflectance(std::span<const double> rgb, std::span<double> out) const override {
+        constexpr std::size_t block = 512;
+        std::array<double, 3 * block> c;
+        const std::size_t n = rgb.size() / 3, bands = nodes_.size();
+        for (std::size_t begin = 0; begin < n; begin += block) {
+            const std::size_t count = std::min(block, n - begin);
+            const std::span<double> some(c.data(), 3 * count);
+            coefficients(rgb.subspan(3 * begin, 3 * count), some);
+            kernels::evaluate_sigmoids(some, nodes_, out.subspan(begin * bands, count * bands));
+        }
+    }
+    std::vector<std::string> coefficient_names() const override { return {"c0", "c1", "c2"}; }
+    void coefficients(std::span<const double> rgb, std::span<double> out) const override {
+        // Not before a colour is asked for: stored coefficients need no solver.
+        std::call_once(ready_, [&] {
+            if (from_table_)
+                tbb::this_task_arena::isolate([&] { table_ = *make_coefficient_table(colorimetry()); });
+            else
+                solver_ = jakob2019::Solver::shared(colorimetry());
+        });
+        if (!from_table_) {
+            solver_->solve(rgb, out);
+            return;
+        }
+        // c0 l^2 + c1 l + c2 with l = origin + unit t.
+        constexpr double o = jakob2019::origin_nm, u = jakob2019::unit_nm;
+        for (std::size_t i = 0; i + 2 < rgb.size(); i += 3) {
+            const Vector3 nm = table_.fetch({rgb[i], rgb[i + 1], rgb[i + 2]});
+            out[i] = nm[0] * (u * u);
+            out[i + 1] = (2 * o * nm[0] + nm[1]) * u;
+            out[i + 2] = (nm[0] * o + nm[1]) * o + nm[2];
+        }
+    }
+    void reflectance_of_coefficients(std::span<const double> c, std::span<double> out) const override {
+        kernels::evaluate_sigmoids(c, nodes_, out);
+    }
+    std::string to_json() const override {
+        Json json = model_json(*this);
+        json["sigmoid"] = {{"origin_nm", jakob2019::origin_nm}, {"unit_nm", jakob2019::unit_nm}};
+        return json.dump(-1, ' ', false, Json::error_handler_t::replace);
+    }
+
+private:
+    bool from_table_;
+    std::vector<double> nodes_;
+    mutable std::once_flag ready_;
+    mutable std::shared_ptr<const jakob2019::Solver> solver_;
+    mutable CoefficientTable table_;
+};
+
+ModelResult make_refined(const MethodInfo& info, const Colorimetry& colorimetry) {
+    MethodInfo here = info;
+    here.exact = jakob2019::reaches_all_corners(colorimetry);
+    return std::shared_ptr<const Model>(std::make_shared<SigmoidModel>(here, colorimetry, false));
+}
+ModelResult make_tabulated(const MethodInfo& info, const Colorimetry& colorimetry) {
+    return std::shared_ptr<const Model>(std::make_shared<SigmoidModel>(info, colorimetry, true));
+}
+
+template <ModelResult (*make)(const MethodInfo&, const Colorimetry&)>
+ModelResult read(const MethodInfo& info, const Colorimetry& colorimetry, const Json& json) {
+    const auto at = json.find("sigmoid");
+    if (at == json.end() || !at->is_object()) return Error{ErrorKind::input, "model: member 'sigmoid': missing"};
+    for (const auto& [member, expected] : {std::pair{"origin_nm", jakob2019::origin_nm}, {"unit_nm", jakob2019::unit_nm}}) {
+        const auto value = at->find(member);
+        if (value == at->end() || !value->is_number() || value->template get<double>() != expected)
+            return Error{ErrorKind::input, fmt::format("model: member 'sigmoid.{}': expected {}", member, expected)};
+    }
+    return make(info, colorimetry);
+}
+
+MethodInfo described(std::string id, std::string title, bool exact) {
+    MethodInfo info;
+    info.id = std::move(id);
+    info.title = std::move(title);
+    info.source = "Jakob and Hanika 2019, Computer Graphics Forum 38(2), doi:10.1111/cgf.13626";
+    info.pieces = Pieces::nonlinear;
+    info.exact = exact;
+    info.bounded = true;
+    info.coefficients = 3;
+    return info;
+}
+
+}  // namespace
+
+Entry jakob2019() {
+    return {described("jakob2019", "Sigmoid of a quadratic, solved per colour", true), make_refined, read<make_refined>};
+}
+Entry jakob2019_table() {
+    return {described("jakob2019:table", "Sigmoid of a quadratic, interpolated in the 64^3 table", false), make_tabulated,
+            read<make_tabulated>};
+}
+
+}  // namespace spectex::registry
