@@ -5,6 +5,7 @@
 
 #include "../common/app.h"
 #include "../common/options.h"
+#include "spectex/coefficient_table.h"
 #include "spectex/io.h"
 #include "spectex/solvers.h"
 
@@ -179,45 +180,80 @@ int lattice(app::App& tool, const Request& request) {
     return app::exit_ok;
 }
 
+/// The table of a Colorimetry as Mitsuba and rgb2spec read it, and what it leaves of random colours.
+int table(app::App& tool, const Request& request) {
+    const auto bands = request.colorimetry.band_set();
+    if (!bands) return tool.report(bands.error());
+    const auto c = Colorimetry::make(request.colorimetry.spec, *bands);
+    if (!c) return tool.report(c.error());
+    const auto n = static_cast<std::size_t>(request.n);
+    tool.explain("spxsolve table",
+                 std::vector<std::pair<std::string, std::string>>{
+                     {"colorimetry", c->describe()},
+                     {"vertices", fmt::format("3 x {}^3: by the largest component, and the other two over it", n)},
+                     {"solved", "A r = rgb by Newton's method; where no sigmoid has the colour, the nearest in CIELab by "
+                                "Levenberg and Marquardt"}});
+    const auto made = make_coefficient_table(*c, n);
+    if (!made) return tool.report(made.error());
+    if (const auto written = write_coefficient_table(*made, request.output); !written)
+        return tool.report(written.error(), request.output);
+    Json json{{"what", "table"}};
+    json.update(describe(*c));
+    json["n"] = n;
+    json["bytes"] = coefficient_table_bytes(*made).size();
+    json["output"] = request.output;
+    tool.note(fmt::format("{}: sigmoid coefficients at 3 x {}^3 colours, {} bytes; {}", request.output, n,
+                          json["bytes"].get<std::size_t>(), c->describe()));
+    tool.record(std::move(json));
+    return app::exit_ok;
+}
+
 }  // namespace
 
 int main(int argc, char** argv) {
     app::App tool({"spxsolve",
-                   "primaries -o FILE.csv|FILE.json [options] | lattice -o FILE.bin [options]",
+                   "primaries -o FILE.csv|FILE.json [options] | lattice -o FILE.bin [options] | table -o FILE.coeff [options]",
                    "Solves for the spectra behind a method, to the optimum, or proves that there are none.",
                    {{"spxsolve primaries -o srgb.csv", "the three spectra of mallett2019 at 5 nm"},
                     {"spxsolve primaries --observer cie2006-10 --bands 380:780:1 --objective second -o b.json", ""},
                     {"spxsolve primaries --rgb-space Rec.2020 --certificate proof.json -o b.csv",
                      "why there are none for Rec.2020 (exit 2)"},
-                    {"spxsolve lattice -o lattice.bin", "the spectra at the 729 vertices of the method lattice"}}});
+                    {"spxsolve lattice -o lattice.bin", "the spectra at the 729 vertices of the method lattice"},
+                    {"spxsolve table -o srgb.coeff", "the 64^3 table of jakob2019, as Mitsuba and rgb2spec read it"}}});
     Request request;
     request.colorimetry.bands = "380:780:5";
     tool.positional("WHAT", &request.what, 1, 1, "primaries: three reflectances in [0,1] that sum to 1 and are the RGB primaries; lattice: one at each vertex of a "
-                    "lattice over the RGB cube");
+                    "lattice over the RGB cube; table: the sigmoid coefficients of jakob2019:table");
     tool.choice("--objective", "ORDER", &request.objective, {"first", "second"},
                 "primaries: the squared differences of this order are least");
-    tool.integer("--n", "N", &request.n, 2, 65, "lattice: vertices along each axis");
-    tool.add({.names = "-o,--output", .metavar = "FILE", .text = "primaries: CSV (wavelength_nm,r,g,b), or JSON by its suffix; lattice: .bin",
+    tool.integer("--n", "N", &request.n, 2, 256, "vertices along each axis; lattice: 9, at most 65; table: 64");
+    tool.add({.names = "-o,--output", .metavar = "FILE", .text = "primaries: CSV (wavelength_nm,r,g,b), or JSON by its suffix; lattice: .bin; table: .coeff",
               .required = true, .set = [&](std::string_view value) -> Status {
-                  if (!value.ends_with(".csv") && !value.ends_with(".json") && !value.ends_with(".bin"))
-                      return app::expected("FILE.csv, FILE.json or FILE.bin", value);
+                  if (!value.ends_with(".csv") && !value.ends_with(".json") && !value.ends_with(".bin") &&
+                      !value.ends_with(".coeff"))
+                      return app::expected("FILE.csv, FILE.json, FILE.bin or FILE.coeff", value);
                   request.output = value;
                   return {};
               }});
     tool.text("--certificate", "FILE", &request.certificate, "where there are no such spectra, write the proof as JSON");
     app::add_colorimetry_options(tool, request.colorimetry);
     return tool.main(argc, argv, [&] {
-        const bool wants_lattice = request.what[0] == "lattice";
-        if (!wants_lattice && request.what[0] != "primaries")
-            return tool.usage_error(fmt::format("expected primaries or lattice, got '{}'", app::escape(request.what[0])));
-        if (wants_lattice != request.output.ends_with(".bin"))
-            return tool.usage_error(fmt::format("-o: expected {} for {}, got '{}'", wants_lattice ? "FILE.bin" : "FILE.csv or FILE.json",
-                                                request.what[0], app::escape(request.output)));
+        const std::string& what = request.what[0];
+        const bool wants_primaries = what == "primaries", wants_lattice = what == "lattice";
+        if (!wants_primaries && !wants_lattice && what != "table")
+            return tool.usage_error(fmt::format("expected primaries, lattice or table, got '{}'", app::escape(what)));
+        const bool binary = request.output.ends_with(".bin"), coefficients = request.output.ends_with(".coeff");
+        if (wants_lattice != binary || (what == "table") != coefficients)
+            return tool.usage_error(fmt::format("-o: expected {} for {}, got '{}'",
+                                                wants_primaries ? "FILE.csv or FILE.json" : wants_lattice ? "FILE.bin" : "FILE.coeff",
+                                                what, app::escape(request.output)));
         for (const char* option : {"--objective", "--certificate"})
-            if (wants_lattice && tool.given(option)) return tool.usage_error(fmt::format("{} is for primaries", option));
-        if (!wants_lattice && tool.given("--n")) return tool.usage_error("--n is for lattice");
+            if (!wants_primaries && tool.given(option)) return tool.usage_error(fmt::format("{} is for primaries", option));
+        if (wants_primaries && tool.given("--n")) return tool.usage_error("--n is for lattice and table");
+        if (wants_lattice && request.n > 65) return tool.usage_error(fmt::format("--n: expected 2..65 for lattice, got {}", request.n));
+        if (!tool.given("--n")) request.n = wants_lattice ? 9 : 64;
         const std::array<app::NamedOutput, 2> outputs{{{"-o", request.output}, {"--certificate", request.certificate}}};
         if (auto fine = app::check_outputs({}, outputs); !fine) return tool.report(fine.error());
-        return wants_lattice ? lattice(tool, request) : primaries(tool, request);
+        return wants_primaries ? primaries(tool, request) : wants_lattice ? lattice(tool, request) : table(tool, request);
     });
 }

@@ -202,6 +202,8 @@ void expect_exact(const char* method, std::initializer_list<const char*> grids) 
 
 TEST(AllCodes, SmitsExactThroughStorage) { expect_exact("smits1999:exact", {"380:780:5", "380:780:20"}); }
 
+TEST(AllCodes, JakobThroughStorage) { expect_exact("jakob2019", {"380:780:5", "36"}); }
+
 TEST(AllCodes, SmitsAsPublishedErrsAsItDoes) {
     // Exact for no standard space: a change of these figures is a change of the table, its bins or the quadrature. They
     // are far below the mean 4.86 and max 19.5 that the same numbers give when the ten bins are read as samples every
