@@ -147,6 +147,13 @@ ModelResult make_from(const MethodInfo& info, const Colorimetry& colorimetry, co
     return std::shared_ptr<const Model>(std::make_shared<LatticeModel>(info, colorimetry, *std::move(table), from.hash));
 }
 
+/// A model of other samples bears no hash that a reader could find again.
+ModelResult train_lattice(const MethodInfo& info, const Colorimetry& colorimetry, std::span<const SampleSet> sets) {
+    auto table = solve_lattice(colorimetry, sets);
+    if (!table) return std::move(table).error();
+    return std::shared_ptr<const Model>(std::make_shared<LatticeModel>(info, colorimetry, *std::move(table), "none"));
+}
+
 ModelResult make_lattice(const MethodInfo& info, const Colorimetry& colorimetry) {
     const auto from = origin(colorimetry);
     if (!from) return from.error();
@@ -179,7 +186,7 @@ Entry lattice() {
     info.exact = true;
     info.bounded = true;
     info.coefficients = 3;
-    return {info, make_lattice, read_lattice};
+    return {info, make_lattice, read_lattice, train_lattice};
 }
 
 }  // namespace spectex::registry

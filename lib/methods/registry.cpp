@@ -198,6 +198,14 @@ Result<std::shared_ptr<const Model>> make_model(std::string_view id, const Color
     return (*entry)->make((*entry)->info, colorimetry);
 }
 
+Result<std::shared_ptr<const Model>> train_model(std::string_view id, const Colorimetry& colorimetry,
+                                                 std::span<const SampleSet> sets) {
+    const auto entry = registry::find(id);
+    if (!entry) return entry.error();
+    if (!(*entry)->train) return (*entry)->make((*entry)->info, colorimetry);
+    return (*entry)->train((*entry)->info, colorimetry, sets);
+}
+
 Result<std::shared_ptr<const Model>> make_model_from_json(std::string_view text) {
     if (text.size() > registry::max_json_bytes)
         return Error{ErrorKind::input, fmt::format("model: {} bytes of JSON, expected at most {}", text.size(), registry::max_json_bytes)};

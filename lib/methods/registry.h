@@ -5,6 +5,7 @@
 #include <span>
 
 #include "spectex/methods.h"
+#include "spectex/solvers.h"
 
 namespace spectex::registry {
 
@@ -17,6 +18,8 @@ struct Entry {
     ModelResult (*make)(const MethodInfo& info, const Colorimetry& colorimetry);
     /// @param json  the whole object; its Colorimetry has been read already.
     ModelResult (*from_json)(const MethodInfo& info, const Colorimetry& colorimetry, const Json& json);
+    /// The same as make, learnt from these sets; null where nothing is learnt.
+    ModelResult (*train)(const MethodInfo& info, const Colorimetry& colorimetry, std::span<const SampleSet> sets) = nullptr;
 };
 
 Entry mallett2019();

@@ -21,7 +21,6 @@ constexpr std::string_view cie_tables_lut = "illuminants/cie_tables_380-780-5.cs
 constexpr std::string_view lamps_lut = "illuminants/lamps_380-780-5.csv";
 constexpr std::string_view lamp_index_lut = "illuminants/lamps.csv";
 constexpr std::string_view lamp_names_lut = "illuminants/names.csv";
-constexpr std::uintmax_t max_file_bytes = 64u << 20;
 
 Error usage(std::string message) { return {ErrorKind::usage, std::move(message)}; }
 Error input(std::string message) { return {ErrorKind::input, std::move(message)}; }
@@ -249,17 +248,10 @@ Result<SpectralDistribution> parse_two_columns(std::string_view text, std::strin
 
 Result<Illuminant> from_file(std::string_view path) {
     const std::string name(path);
-    std::error_code failed;
-    const auto bytes = std::filesystem::file_size(name, failed);
-    if (failed) return input(fmt::format("{}: not a readable file", path));
-    if (bytes > max_file_bytes)
-        return input(fmt::format("{}: {} bytes, expected a spectrum of at most {}", path, bytes, max_file_bytes));
-    std::ifstream in(name, std::ios::binary);
-    std::ostringstream text;
-    text << in.rdbuf();
-    if (!in) return input(fmt::format("{}: cannot be read", path));
+    const auto text = read_text(name);
+    if (!text) return text.error();
     const auto stem = std::filesystem::path(name).stem().string();
-    return made(stem, "file " + name, parse_two_columns(text.str(), path));
+    return made(stem, "file " + name, parse_two_columns(*text, path));
 }
 
 std::optional<std::string> regular_file(std::string_view text) {

@@ -76,6 +76,20 @@ bool split_csv_line(std::string_view line, std::vector<std::string>& fields) {
 
 }  // namespace
 
+Result<std::string> read_text(const std::string& path) {
+    constexpr std::uintmax_t most = 64u << 20;
+    std::error_code failed;
+    const auto bytes = std::filesystem::file_size(path, failed);
+    if (failed) return Error{ErrorKind::input, fmt::format("{}: not a readable file", path)};
+    if (bytes > most)
+        return Error{ErrorKind::input, fmt::format("{}: {} bytes, expected a spectrum of at most {}", path, bytes, most)};
+    std::ifstream in(path, std::ios::binary);
+    std::ostringstream text;
+    text << in.rdbuf();
+    if (!in) return Error{ErrorKind::input, fmt::format("{}: cannot be read", path)};
+    return text.str();
+}
+
 Result<std::string> lut_text(std::string_view path) {
     if (const auto file = file_for(path); !file.empty()) {
         std::ifstream in(file, std::ios::binary);
@@ -147,6 +161,12 @@ Result<SpectralTable> load_spectral_table(std::string_view lut_path) {
     auto text = lut_text(lut_path);
     if (!text) return std::move(text).error();
     return parse_spectral_csv(*text, lut_path);
+}
+
+Result<SpectralTable> read_spectral_csv(const std::string& path) {
+    const auto text = read_text(path);
+    if (!text) return text.error();
+    return parse_spectral_csv(*text, path);
 }
 
 }  // namespace spectex

@@ -9,6 +9,9 @@
 
 namespace spectex {
 
+/// A regular file of text, of at most 64 MiB. @error input, naming the path.
+Result<std::string> read_text(const std::string& path);
+
 /// Rows of RFC 4180 fields, the header first; empty lines are left out.
 /// @error input, naming `label` and the line.
 Result<std::vector<std::vector<std::string>>> parse_csv(std::string_view text, std::string_view label);

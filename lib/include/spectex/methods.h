@@ -89,6 +89,10 @@ SPECTEX_API Result<MethodInfo> find_method(std::string_view id);
 /// Solves a method for a Colorimetry.
 /// @error usage for an unknown id; infeasible, with the least violation, where no spectra satisfy the constraints.
 SPECTEX_API Result<std::shared_ptr<const Model>> make_model(std::string_view id, const Colorimetry& colorimetry);
+/// The same, but a method that learns from measured reflectances learns from these; for tests of how it does on others.
+/// Such a model's JSON does not bring it back.
+SPECTEX_API Result<std::shared_ptr<const Model>> train_model(std::string_view id, const Colorimetry& colorimetry,
+                                                             std::span<const SampleSet> sets);
 /// Rebuilds a model from Model::to_json. Text from a file is hostile: everything is checked.
 /// @error input, naming the member.
 SPECTEX_API Result<std::shared_ptr<const Model>> make_model_from_json(std::string_view json);

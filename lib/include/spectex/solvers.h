@@ -60,12 +60,6 @@ SPECTEX_API Result<PrimariesOutcome> solve_primaries(const Colorimetry& colorime
 /// The objective of three (or any) spectra, [spectra][bands]: the sum of their squared differences, in long double.
 SPECTEX_API double squared_differences(std::span<const double> spectra, const BandSet& bands, Smoothness smoothness);
 
-/// Measured reflectances of one origin, dimensionless.
-struct SampleSet {
-    std::string name;
-    std::vector<double> wavelengths_nm;        ///< ascending
-    std::vector<std::vector<double>> samples;  ///< [samples][wavelengths]
-};
 /// The sets from which the shipped lattices learn: vrhel, koivisto, krinov, nickerson, macbeth.
 SPECTEX_API Result<std::vector<SampleSet>> lattice_sample_sets();
 

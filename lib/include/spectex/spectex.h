@@ -5,6 +5,7 @@
 #include "spectex/coefficient_table.h"
 #include "spectex/color.h"
 #include "spectex/compare.h"
+#include "spectex/evaluation.h"
 #include "spectex/heatmap.h"
 #include "spectex/io.h"
 #include "spectex/methods.h"

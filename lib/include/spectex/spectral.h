@@ -238,6 +238,15 @@ struct SpectralTable {
 };
 /// @error input, naming `label` and the line.
 SPECTEX_API Result<SpectralTable> parse_spectral_csv(std::string_view text, std::string_view label);
+/// The same from a file of the caller's, of at most 64 MiB. @error input, naming the path.
+SPECTEX_API Result<SpectralTable> read_spectral_csv(const std::string& path);
 SPECTEX_API Result<SpectralTable> load_spectral_table(std::string_view lut_path);
+
+/// Measured reflectances of one origin, dimensionless.
+struct SampleSet {
+    std::string name;
+    std::vector<double> wavelengths_nm;        ///< ascending
+    std::vector<std::vector<double>> samples;  ///< [samples][wavelengths]
+};
 
 }  // namespace spectex

@@ -1,0 +1,243 @@
+// spxbench: methods against measured reflectances, against neighbouring colours, and against the clock.
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <cmath>
+#include <filesystem>
+#include <map>
+
+#include "../common/app.h"
+#include "../common/options.h"
+#include "spectex/evaluation.h"
+#include "spectex/io.h"
+#include "spectex/solvers.h"
+
+namespace {
+
+using namespace spectex;
+using app::Json;
+
+struct Request {
+    std::vector<std::string> what, methods, sets, unseen, stores;
+    app::ColorimetryOptions colorimetry;
+    std::string folder;
+    std::int64_t stride = 1, lines = 500, seed = 1;
+};
+
+std::vector<std::string> chosen_methods(const Request& request) {
+    if (!request.methods.empty()) return request.methods;
+    std::vector<std::string> all;
+    for (const auto& info : methods()) all.push_back(info.id);
+    return all;
+}
+
+/// A table as Markdown, for people and for a README.
+class Table {
+public:
+    explicit Table(std::vector<std::string> header) : rows_{std::move(header)} {}
+    void add(std::vector<std::string> row) { rows_.push_back(std::move(row)); }
+    std::string markdown() const {
+        std::string out;
+        for (std::size_t i = 0; i < rows_.size(); ++i) {
+            for (const auto& cell : rows_[i]) out += "| " + cell + " ";
+            out += "|\n";
+            if (i == 0) {
+                for (std::size_t c = 0; c < rows_[0].size(); ++c) out += "|---";
+                out += "|\n";
+            }
+        }
+        return out;
+    }
+
+private:
+    std::vector<std::vector<std::string>> rows_;
+};
+
+/// Prints the table, and keeps table and figures in the folder.
+int deliver(app::App& tool, const Request& request, const std::string& name, const Table& table, Json json) {
+    const auto text = table.markdown();
+    tool.out(text);
+    if (!request.folder.empty())
+        for (const auto& [suffix, content] : {std::pair<std::string, std::string>{".md", text}, {".json", json.dump(1) + "\n"}}) {
+            const auto path = request.folder + "/" + name + suffix;
+            if (const auto written = write_text_file(path, content); !written) return tool.report(written.error(), path);
+        }
+    tool.record(std::move(json));
+    return app::exit_ok;
+}
+
+Result<std::vector<SampleSet>> training_sets(const Request& request) {
+    auto all = lattice_sample_sets();
+    if (!all || request.sets.empty()) return all;
+    std::vector<SampleSet> out;
+    for (const auto& name : request.sets) {
+        const auto found = std::find_if(all->begin(), all->end(), [&](const SampleSet& s) { return s.name == name; });
+        if (found == all->end()) {
+            std::string names;
+            for (const auto& s : *all) names += (names.empty() ? "" : ", ") + s.name;
+            return Error{ErrorKind::usage, fmt::format("--sets: expected some of {}, got '{}'", names, app::escape(name))};
+        }
+        out.push_back(*found);
+    }
+    return out;
+}
+
+int accuracy(app::App& tool, const Request& request, const Colorimetry& c) {
+    auto sets = training_sets(request);
+    if (!sets) return tool.report(sets.error());
+    AccuracyOptions options;
+    options.methods = chosen_methods(request);
+    options.sets = *std::move(sets);
+    for (const auto& path : request.unseen) {
+        auto table = read_spectral_csv(path);
+        if (!table) return tool.report(table.error(), path);
+        options.unseen.push_back(SampleSet{app::stem(path), std::move(table->wavelengths_nm), std::move(table->columns)});
+    }
+    const auto entries = list_illuminants();
+    if (!entries) return tool.report(entries.error());
+    for (const auto& entry : *entries)
+        if (entry.name.starts_with("lamp:")) {
+            auto lamp = parse_illuminant(entry.name);
+            if (!lamp) return tool.report(lamp.error());
+            options.lamps.push_back(*std::move(lamp));
+        }
+    for (const char* name : {"A", "FL11", "D50"}) options.probes.push_back(*parse_illuminant(name));
+    const auto report = measure_accuracy(c, options);
+    if (!report) return tool.report(report.error());
+
+    std::vector<std::string> header{"method"};
+    const std::size_t seen = options.sets.size(), cases = seen + options.unseen.size();
+    for (std::size_t i = 0; i < cases; ++i) header.push_back(report->rows[i].set);
+    for (const char* column : {"mean", "p95", "spectral RMS", "A", "FL11", "D50"}) header.emplace_back(column);
+    Table table(header);
+    Json json{{"what", "accuracy"}, {"colorimetry", c.describe()}, {"lamps", report->lamps}, {"methods", Json::array()}};
+    for (std::size_t m = 0; m < options.methods.size(); ++m) {
+        std::vector<std::string> row{"`" + options.methods[m] + "`"};
+        Json method{{"method", options.methods[m]}, {"sets", Json::array()}};
+        double mean = 0, p95 = 0, rms = 0;
+        std::array<double, 3> under{};
+        for (std::size_t i = 0; i < cases; ++i) {
+            const AccuracyRow& r = report->rows[m * cases + i];
+            row.push_back(fmt::format("{:.3f}", r.mean));
+            method["sets"].push_back({{"set", r.set}, {"samples", r.samples}, {"left_out", i < seen}, {"mean", r.mean}, {"p95", r.p95},
+                                      {"spectral_rms", r.rms}, {"A", r.mean_under[0]}, {"FL11", r.mean_under[1]}, {"D50", r.mean_under[2]}});
+            if (i >= seen) continue;
+            const double share = 1 / static_cast<double>(seen);
+            mean += share * r.mean, p95 += share * r.p95, rms += share * r.rms;
+            for (std::size_t k = 0; k < 3; ++k) under[k] += share * r.mean_under[k];
+        }
+        for (const double v : {mean, p95}) row.push_back(fmt::format("{:.3f}", v));
+        row.push_back(fmt::format("{:.4f}", rms));
+        for (const double v : under) row.push_back(fmt::format("{:.3f}", v));
+        table.add(std::move(row));
+        method["mean"] = mean, method["p95"] = p95, method["spectral_rms"] = rms;
+        json["methods"].push_back(std::move(method));
+    }
+    return deliver(tool, request, "accuracy", table, std::move(json));
+}
+
+int smoothness(app::App& tool, const Request& request, const Colorimetry& c) {
+    Table table({"method", "steps", "mean", "p99", "max", "at code", "jump"});
+    Json json{{"what", "smoothness"}, {"colorimetry", c.describe()}, {"methods", Json::array()}};
+    for (const auto& id : chosen_methods(request)) {
+        const auto model = make_model(id, c);
+        if (!model) return tool.report(model.error());
+        const auto r = measure_smoothness(**model, static_cast<std::size_t>(request.lines), static_cast<std::uint64_t>(request.seed));
+        table.add({"`" + id + "`", std::to_string(r.steps), fmt::format("{:.4f}", r.mean), fmt::format("{:.4f}", r.p99),
+                   fmt::format("{:.4f}", r.max), fmt::format("{:.0f}, {:.0f}, {:.0f}", r.max_at[0], r.max_at[1], r.max_at[2]),
+                   fmt::format("{:.1e}", r.jump)});
+        json["methods"].push_back({{"method", id}, {"steps", r.steps}, {"mean", r.mean}, {"p99", r.p99}, {"max", r.max},
+                                   {"max_at", r.max_at}, {"jump", r.jump}});
+    }
+    return deliver(tool, request, "smoothness", table, std::move(json));
+}
+
+int speed(app::App& tool, const Request& request, const Colorimetry& c) {
+    struct StoreName {
+        std::string name;
+        Store store;
+        PixelType type;
+    };
+    const std::vector<StoreName> known{{"coefficients-float", Store::coefficients, PixelType::float32},
+                                       {"coefficients-half", Store::coefficients, PixelType::half},
+                                       {"spectral-float", Store::spectral, PixelType::float32},
+                                       {"spectral-half", Store::spectral, PixelType::half}};
+    std::vector<StoreName> stores;
+    for (const auto& s : known)
+        if (request.stores.empty() || std::find(request.stores.begin(), request.stores.end(), s.name) != request.stores.end())
+            stores.push_back(s);
+    for (const auto& name : request.stores)
+        if (std::none_of(known.begin(), known.end(), [&](const auto& s) { return s.name == name; }))
+            return tool.usage_error(fmt::format("--stores: expected coefficients-float, coefficients-half, spectral-float or "
+                                                "spectral-half, got '{}'",
+                                                app::escape(name)));
+    Table table({"method", "stored as", "channels", "mean ΔE76", "max ΔE76", "changed codes", "not in [0,1]", "store Mpixel/s",
+                 "reproject Mpixel/s"});
+    Json json{{"what", "speed"}, {"colorimetry", c.describe()}, {"stride", request.stride}, {"rows", Json::array()}};
+    for (const auto& id : chosen_methods(request)) {
+        const auto model = make_model(id, c);
+        if (!model) return tool.report(model.error());
+        for (const auto& s : stores) {
+            const auto r = measure_roundtrip(*model, s.store, s.type, static_cast<std::uint32_t>(request.stride), tool.threads());
+            if (!r) return tool.report(r.error());
+            const auto rate = [&](double seconds) { return static_cast<double>(r->pixels) / 1e6 / std::max(seconds, 1e-9); };
+            const bool counted = s.store == Store::spectral && s.type == PixelType::float32;
+            table.add({"`" + id + "`", s.name, std::to_string(r->channels), fmt::format("{:.2g}", r->difference.mean),
+                       fmt::format("{:.2g}", r->difference.max), std::to_string(r->difference.changed_codes),
+                       counted ? std::to_string(r->outside) : "", fmt::format("{:.3g}", rate(r->store_seconds)),
+                       fmt::format("{:.3g}", rate(r->relight_seconds))});
+            json["rows"].push_back({{"method", id}, {"store", s.name}, {"channels", r->channels}, {"pixels", r->pixels},
+                                    {"mean", r->difference.mean}, {"p99", r->difference.p99}, {"max", r->difference.max},
+                                    {"max_code", {r->difference.max_at[0], r->difference.max_at[1] >> 8, r->difference.max_at[1] & 255}},
+                                    {"changed_codes", r->difference.changed_codes}, {"outside", counted ? Json(r->outside) : Json()},
+                                    {"store_seconds", r->store_seconds}, {"reproject_seconds", r->relight_seconds}});
+        }
+    }
+    return deliver(tool, request, "speed", table, std::move(json));
+}
+
+}  // namespace
+
+int main(int argc, char** argv) {
+    app::App tool({"spxbench", "[speed|accuracy|smoothness] [options]",
+                   "Measures methods: run time against error, relighting of measured reflectances, steps between neighbouring colours.",
+                   {{"spxbench --methods mallett2019,lattice -o bench", "speed and round trip over all 16,777,216 sRGB codes"},
+                    {"spxbench accuracy", "each set of measured reflectances left out in turn, predicted under 404 lamps"},
+                    {"spxbench accuracy --unseen mine.csv", "your own reflectances (wavelength_nm, one column a sample) as well"},
+                    {"spxbench smoothness --methods lattice,otsu2018", "largest change of a spectrum from one code to the next"}}});
+    Request request;
+    request.colorimetry.bands = "380:780:5";
+    tool.positional("WHAT", &request.what, 0, 1, "speed (the default), accuracy or smoothness");
+    tool.list("--methods", "M,...", &request.methods, "methods; all, unless given");
+    tool.list("--stores", "S,...", &request.stores,
+              "speed: coefficients-float, coefficients-half, spectral-float, spectral-half; all, unless given");
+    tool.integer("--stride", "N", &request.stride, 1, 65536, "speed: takes every N-th of the sRGB codes");
+    tool.list("--sets", "S,...", &request.sets, "accuracy: sets of measured reflectances; all, unless given");
+    tool.list("--unseen", "FILE,...", &request.unseen, "accuracy: tables of reflectances that are predicted and never learnt from");
+    tool.integer("--lines", "N", &request.lines, 0, 1000000, "smoothness: random lines through the cube");
+    tool.integer("--seed", "N", &request.seed, 0, 1ll << 53, "smoothness: of the random lines");
+    tool.add({.names = "-o,--output", .metavar = "DIR", .text = "folder for the table (.md) and its figures (.json)",
+              .set = [&](std::string_view value) -> Status {
+                  std::error_code failed;
+                  if (!std::filesystem::is_directory(std::filesystem::path(value), failed))
+                      return app::expected("an existing folder", value);
+                  request.folder = value;
+                  return {};
+              }});
+    app::add_colorimetry_options(tool, request.colorimetry);
+    return tool.main(argc, argv, [&]() -> int {
+        const std::string what = request.what.empty() ? "speed" : request.what[0];
+        const std::map<std::string, int (*)(app::App&, const Request&, const Colorimetry&)> all{
+            {"speed", speed}, {"accuracy", accuracy}, {"smoothness", smoothness}};
+        const auto found = all.find(what);
+        if (found == all.end())
+            return tool.usage_error(fmt::format("expected speed, accuracy or smoothness, got '{}'", app::escape(what)));
+        for (const auto& id : request.methods)
+            if (const auto known = find_method(id); !known) return tool.report(known.error());
+        const auto bands = request.colorimetry.band_set();
+        if (!bands) return tool.report(bands.error());
+        const auto c = Colorimetry::make(request.colorimetry.spec, *bands);
+        if (!c) return tool.report(c.error());
+        return found->second(tool, request, *c);
+    });
+}
