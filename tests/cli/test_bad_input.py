@@ -95,14 +95,24 @@ def corpus(tmp_path_factory):
     return folder
 
 
-@pytest.fixture
-def work(corpus, tmp_path):
-    folder = tmp_path / "work"
+def copy_of(corpus, folder):
     shutil.copytree(corpus, folder, symlinks=True)
     for name in ("tif", "exr"):
         os.unlink(folder / f"hard.{name}")
         os.link(folder / f"ok.{name}", folder / f"hard.{name}")
     return folder
+
+
+@pytest.fixture
+def work(corpus, tmp_path):
+    return copy_of(corpus, tmp_path / "work")
+
+
+@pytest.fixture(scope="module")
+def untouched(corpus, tmp_path_factory):
+    """One copy for all cases that must change nothing, and what it holds."""
+    folder = copy_of(corpus, tmp_path_factory.mktemp("untouched") / "work")
+    return folder, tree(folder)
 
 
 UP, RE = "spxuplift", "spxrelight"
@@ -213,8 +223,8 @@ CASES = [
 
 
 @pytest.mark.parametrize("tool, arguments, code, fragments", CASES, ids=[f"{i}-{c[0]}-{' '.join(c[1])[:60]}" for i, c in enumerate(CASES)])
-def test_answer(tool, arguments, code, fragments, corpus, work):
-    before = tree(work)
+def test_answer(tool, arguments, code, fragments, untouched):
+    work, before = untouched
     outcome = run_tool(tool, *arguments, cwd=work)
     assert outcome.code == code, outcome
     assert outcome.stdout == "", outcome
