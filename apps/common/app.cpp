@@ -11,6 +11,7 @@
 #include <cstdio>
 #include <cstring>
 #include <new>
+#include <sstream>
 
 #include "spectex/io.h"
 
@@ -237,7 +238,11 @@ bool App::given(std::string_view name) const {
 }
 
 std::string App::help() const {
-    std::string help = fmt::format("Usage: {} {}\n\n", info_.name, info_.synopsis);
+    std::string help;
+    std::istringstream forms(info_.synopsis);
+    for (std::string form; std::getline(forms, form);)
+        help += fmt::format("{} {} {}\n", help.empty() ? "Usage:" : "      ", info_.name, form);
+    help += '\n';
     for (const auto& line : wrap(info_.summary, help_columns)) help += line + '\n';
     if (!positionals_.empty()) {
         help += "\nArguments:\n";

@@ -56,7 +56,7 @@ struct Example {
 
 struct AppInfo {
     std::string name;      ///< spxuplift
-    std::string synopsis;  ///< "IN... -o OUT [options]"
+    std::string synopsis;  ///< "IN... -o OUT [options]"; several forms, a line each
     std::string summary;
     std::vector<Example> examples;
 };

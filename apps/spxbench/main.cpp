@@ -57,11 +57,15 @@ private:
 int deliver(app::App& tool, const Request& request, const std::string& name, const Table& table, Json json) {
     const auto text = table.markdown();
     tool.out(text);
-    if (!request.folder.empty())
+    if (!request.folder.empty()) {
+        std::error_code failed;
+        std::filesystem::create_directory(request.folder, failed);
+        if (failed) return tool.report({ErrorKind::output, fmt::format("{}: {}", request.folder, failed.message())}, request.folder);
         for (const auto& [suffix, content] : {std::pair<std::string, std::string>{".md", text}, {".json", json.dump(1) + "\n"}}) {
             const auto path = request.folder + "/" + name + suffix;
             if (const auto written = write_text_file(path, content); !written) return tool.report(written.error(), path);
         }
+    }
     tool.record(std::move(json));
     return app::exit_ok;
 }
@@ -207,7 +211,7 @@ int main(int argc, char** argv) {
                     {"spxbench smoothness --methods lattice,otsu2018", "largest change of a spectrum from one code to the next"}}});
     Request request;
     request.colorimetry.bands = "380:780:5";
-    tool.positional("WHAT", &request.what, 0, 1, "speed (the default), accuracy or smoothness");
+    tool.positional("WHAT", &request.what, 0, 1, "speed, accuracy or smoothness; speed, where -o is given");
     tool.list("--methods", "M,...", &request.methods, "methods; all, unless given");
     tool.list("--stores", "S,...", &request.stores,
               "speed: coefficients-float, coefficients-half, spectral-float, spectral-half; all, unless given");
@@ -216,16 +220,16 @@ int main(int argc, char** argv) {
     tool.list("--unseen", "FILE,...", &request.unseen, "accuracy: tables of reflectances that are predicted and never learnt from");
     tool.integer("--lines", "N", &request.lines, 0, 1000000, "smoothness: random lines through the cube");
     tool.integer("--seed", "N", &request.seed, 0, 1ll << 53, "smoothness: of the random lines");
-    tool.add({.names = "-o,--output", .metavar = "DIR", .text = "folder for the table (.md) and its figures (.json)",
+    tool.add({.names = "-o,--output", .metavar = "DIR", .text = "folder for the table (.md) and its figures (.json); made where there is none",
               .set = [&](std::string_view value) -> Status {
-                  std::error_code failed;
-                  if (!std::filesystem::is_directory(std::filesystem::path(value), failed))
-                      return app::expected("an existing folder", value);
+                  if (value.empty()) return app::expected("a folder", value);
                   request.folder = value;
                   return {};
               }});
     app::add_colorimetry_options(tool, request.colorimetry);
     return tool.main(argc, argv, [&]() -> int {
+        if (request.what.empty() && request.folder.empty())
+            return tool.usage_error("expected speed, accuracy or smoothness, or -o DIR");
         const std::string what = request.what.empty() ? "speed" : request.what[0];
         const std::map<std::string, int (*)(app::App&, const Request&, const Colorimetry&)> all{
             {"speed", speed}, {"accuracy", accuracy}, {"smoothness", smoothness}};

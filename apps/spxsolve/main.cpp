@@ -212,7 +212,7 @@ int table(app::App& tool, const Request& request) {
 
 int main(int argc, char** argv) {
     app::App tool({"spxsolve",
-                   "primaries -o FILE.csv|FILE.json [options] | lattice -o FILE.bin [options] | table -o FILE.coeff [options]",
+                   "primaries -o FILE.csv|FILE.json [options]\nlattice -o FILE.bin [options]\ntable -o FILE.coeff [options]",
                    "Solves for the spectra behind a method, to the optimum, or proves that there are none.",
                    {{"spxsolve primaries -o srgb.csv", "the three spectra of mallett2019 at 5 nm"},
                     {"spxsolve primaries --observer cie2006-10 --bands 380:780:1 --objective second -o b.json", ""},

@@ -74,11 +74,12 @@ void spectra(const Model& model, const std::vector<Vector3>& codes, std::vector<
     model.reflectance(rgb, out);
 }
 
+/// A spectrum that is no number is infinitely far from any.
 double change(std::span<const double> a, std::span<const double> b) {
     double most = 0;
     for (std::size_t i = 0; i < a.size(); ++i) {
         const double d = std::abs(a[i] - b[i]);
-        most = d <= most ? most : d;
+        most = std::isnan(d) ? HUGE_VAL : std::max(most, d);
     }
     return most;
 }

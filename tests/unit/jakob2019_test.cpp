@@ -20,7 +20,7 @@ namespace {
 
 using reference::Real;
 
-#if defined(__SANITIZE_ADDRESS__) || defined(__SANITIZE_THREAD__) || !defined(__OPTIMIZE__)
+#if defined(SPECTEX_SLOW_BUILD)
 constexpr std::size_t code_stride = 4099;  // a prime: every value of every component still comes up
 #else
 constexpr std::size_t code_stride = 1;

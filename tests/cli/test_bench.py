@@ -1,0 +1,67 @@
+"""spxbench."""
+
+import json
+
+import numpy as np
+import pytest
+
+
+def table(text):
+    """Rows of a Markdown table as lists of cells, the header first."""
+    rows = [line.strip("| ").split(" | ") for line in text.splitlines() if line.startswith("| ")]
+    assert text.splitlines()[1].startswith("|---")
+    return rows
+
+
+def test_speed_over_codes(tmp_path, run):
+    out = run("spxbench", "speed", "--methods", "mallett2019,smits1999", "--stores", "coefficients-float,spectral-half", "--stride", "4093",
+              "--bands", "380:780:20", "-o", tmp_path / "made", check=0).stdout
+    rows = table(out)
+    assert [r[0] for r in rows[1:]] == ["`mallett2019`"] * 2 + ["`smits1999`"] * 2
+    assert (tmp_path / "made" / "speed.md").read_text() == out
+    figures = json.loads((tmp_path / "made" / "speed.json").read_text())
+    assert figures["what"] == "speed"
+    exact, classic = figures["rows"][0], figures["rows"][2]
+    assert exact["pixels"] == -(-2**24 // 4093)
+    assert exact["changed_codes"] == 0 and exact["max"] < 1e-6
+    assert classic["changed_codes"] > 0.9 * classic["pixels"] and classic["mean"] > 1
+    assert all(r["store_seconds"] > 0 and r["reproject_seconds"] > 0 for r in figures["rows"])
+    assert figures["rows"][1]["channels"] == 21
+
+
+def test_accuracy_of_tables_of_ones_own(tmp_path, run):
+    nm = np.arange(380, 781, 10)
+    bumps = np.stack([0.2 + 0.5 * np.exp(-(((nm - c) / 60) ** 2)) for c in (450, 550, 650)], axis=1)
+    mine = tmp_path / "my pigments.csv"
+    mine.write_text("wavelength_nm,blue,green,red\n" + "".join(f"{w},{','.join(map(str, r))}\n" for w, r in zip(nm, bumps)))
+    figures = run("spxbench", "accuracy", "--methods", "mallett2019,jakob2019", "--sets", "macbeth", "--unseen", mine, "--json", "-",
+                  check=0).json()
+    assert figures["lamps"] > 400
+    for method in figures["methods"]:
+        assert [s["set"] for s in method["sets"]] == ["macbeth", "my pigments"]
+        assert [s["left_out"] for s in method["sets"]] == [True, False]
+        assert method["sets"][1]["samples"] == 3
+        assert method["mean"] == pytest.approx(method["sets"][0]["mean"])
+        assert 0.1 < method["sets"][1]["mean"] < method["sets"][1]["p95"] < 20
+
+
+def test_smoothness_is_the_same_again(run):
+    a, b, other = (run("spxbench", "smoothness", "--methods", "mallett2019,jakob2019", "--lines", "20", "--seed", seed, "--json", "-",
+                       check=0).json() for seed in ("1", "1", "2"))
+    assert a["methods"] == b["methods"] != other["methods"]
+    linear, sigmoid = a["methods"]
+    assert linear["max"] < 0.01 < sigmoid["max"]
+
+
+def test_refuses(tmp_path, run):
+    for arguments, mention in [(["speedy"], "speedy"), (["speed", "--methods", "nosuch"], "nosuch"), (["speed", "--stores", "octal"], "octal"),
+                               (["accuracy", "--sets", "nowhere"], "nowhere"), (["speed", "--stride", "0"], "--stride"),
+                               (["-o", ""], "folder"), ([], "accuracy")]:
+        outcome = run("spxbench", *arguments, check=64)
+        assert mention in outcome.stderr and outcome.stdout == ""
+    bad = tmp_path / "bad.csv"
+    bad.write_text("wavelength_nm,a\n400,0.5\n500,many\n")
+    outcome = run("spxbench", "accuracy", "--methods", "mallett2019", "--unseen", bad, check=2)
+    assert "bad.csv" in outcome.stderr and "row 2" in outcome.stderr
+    outcome = run("spxbench", "smoothness", "--methods", "mallett2019", "--lines", "0", "-o", tmp_path / "none" / "deeper", check=2)
+    assert "deeper" in outcome.stderr
