@@ -180,7 +180,7 @@ ModelResult read_lattice(const MethodInfo& info, const Colorimetry& colorimetry,
 Entry lattice() {
     MethodInfo info;
     info.id = "lattice";
-    info.title = "Lattice of exact metamers learnt from measured reflectances";
+    info.title = "Exact metamers learnt from measurements";
     info.source = "Spectex; tetrahedra of Kuhn 1960, IBM J. Res. Dev. 4(5), doi:10.1147/rd.45.0518";
     info.pieces = Pieces::tetrahedral;
     info.exact = true;

@@ -115,7 +115,24 @@ Result<MapSource> open_pair(const std::string& a, const std::string& b, const He
     return source;
 }
 
+Result<std::unique_ptr<ImageWriter>> picture_writer(const std::string& output, int width, int height, int threads) {
+    const auto stored = storable_type(output, PixelType::uint8);
+    if (!stored || *stored != PixelType::uint8)
+        return Error{ErrorKind::usage, fmt::format("{}: expected a picture format of 8 bits, such as .png, .tif or .jpg", output)};
+    Geometry geometry;
+    geometry.width = geometry.full_width = width;
+    geometry.height = geometry.full_height = height;
+    return ImageWriter::create(output, geometry, {"R", "G", "B"}, false, {}, {PixelType::uint8, "", threads});
+}
+
 }  // namespace
+
+Status write_picture(const std::string& output, const Picture& picture, int threads) {
+    auto writer = picture_writer(output, picture.width, picture.height, threads);
+    if (!writer) return writer.error();
+    if (auto s = (*writer)->write_rows(0, picture.height, reinterpret_cast<const std::byte*>(picture.rgb.data())); !s) return s;
+    return (*writer)->commit();
+}
 
 Result<HeatmapReport> heatmap(const std::string& map_or_a, const std::string& b, const std::string& output,
                               const HeatmapOptions& options) {
@@ -161,23 +178,14 @@ Result<HeatmapReport> heatmap(const std::string& map_or_a, const std::string& b,
         legend = *std::move(drawn);
     }
     const auto map_width = static_cast<std::size_t>(width) * static_cast<std::size_t>(factor);
-    Geometry geometry;
-    geometry.width = width * factor + legend.width;
-    geometry.height = height * factor;
-    geometry.full_width = geometry.width;
-    geometry.full_height = geometry.height;
-    report.width = geometry.width;
-    report.height = geometry.height;
-
-    const auto stored = storable_type(output, PixelType::uint8);
-    if (!stored || *stored != PixelType::uint8)
-        return Error{ErrorKind::usage, fmt::format("{}: expected a picture format of 8 bits, such as .png, .tif or .jpg", output)};
-    auto writer = ImageWriter::create(output, geometry, {"R", "G", "B"}, false, {}, {PixelType::uint8, "", options.job.threads});
+    report.width = width * factor + legend.width;
+    report.height = height * factor;
+    auto writer = picture_writer(output, report.width, report.height, options.job.threads);
     if (!writer) return std::move(writer).error();
 
     // Rows are handed to the encoder a few at a time: some formats compress faster by blocks.
     constexpr int block = 64;
-    const std::size_t row_bytes = static_cast<std::size_t>(geometry.width) * 3;
+    const std::size_t row_bytes = static_cast<std::size_t>(report.width) * 3;
     std::vector<std::byte> rows;
     int first = 0, filled = 0;
     const auto flush = [&]() -> Status {

@@ -216,3 +216,36 @@ def test_files_of_every_kind_compare(png_pair, run, tmp_path):
         run("spxuplift", a, "-o", tmp_path / name, *options, check=0)
         report = run("spxdiff", a, tmp_path / name, "--metric", "cie76", "--json", "-", check=0).json()
         assert report["changed_codes"] == 0 and report["max"] <= 0.06  # the bound for half storage
+
+
+def test_figure1(tmp_path, run):
+    arguments = ["figure1", "--methods", "mallett2019,smits1999", "--bits", "4", "--spp", "16"]
+    one, two = tmp_path / "one.png", tmp_path / "two.png"
+    figures = run("spxheat", *arguments, "-o", one, "--threads", "1", "--width", "1200", "--json", "-", check=0).json()
+    run("spxheat", *arguments, "-o", two, "--threads", "2", "--width", "1200", check=0)
+    assert one.read_bytes() == two.read_bytes()
+    pixels, _ = read_image(one, "uint8")
+    assert pixels.shape[1] == 1200 == figures["width"] and pixels.shape[0] == figures["height"] > 1000
+    assert [m["method"] for m in figures["methods"]] == ["mallett2019", "smits1999"]
+    exact, classic = figures["methods"]
+    for part in (exact["noise"], classic["noise"], classic["distortion"]):
+        assert 0.5 < part["mean"] < part["p99"] <= part["max"]
+    assert exact["distortion"]["max"] < 1e-5
+    assert figures["texels"] == 4096 and figures["range"] == [0, 35]
+    other = run("spxheat", *arguments, "-o", two, "--seed", "2", "--width", "1200", "--json", "-", check=0).json()
+    assert other["methods"][0]["noise"] != exact["noise"] and other["methods"][1]["distortion"] == classic["distortion"]
+    wide = run("spxheat", *arguments, "-o", two, "--width", "3600", "--json", "-", check=0).json()
+    assert wide["height"] == pytest.approx(3 * figures["height"], abs=6)
+
+
+def test_figure1_refuses(tmp_path, run):
+    out = tmp_path / "f.png"
+    for arguments, mention in [(["--bits", "5"], "--bits"), (["--spp", "0"], "--spp"), (["--methods", "nosuch"], "nosuch"),
+                               (["--legend"], "--legend"), (["--metric", "itp"], "--metric"), (["--width", "10"], "--width"),
+                               (["--width", "600", "--methods", ",".join(["lattice"] * 6)], "too narrow")]:
+        outcome = run("spxheat", "figure1", "-o", out, *arguments, check=64)
+        assert mention in outcome.stderr and not out.exists()
+    outcome = run("spxheat", "figure1", "-o", tmp_path / "f.exr", "--bits", "2", check=64)
+    assert "8 bits" in outcome.stderr
+    outcome = run("spxheat", "map.exr", "-o", out, "--spp", "3", check=64)
+    assert "figure1" in outcome.stderr

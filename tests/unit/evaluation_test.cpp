@@ -5,6 +5,7 @@
 
 #include <cmath>
 #include <numeric>
+#include <set>
 
 #include "method_checks.h"
 #include "reference.h"
@@ -272,6 +273,88 @@ TEST(RoundTrip, IsExactForExactMethodsAndCountsWhatLeavesTheRange) {
     const auto single = measure_roundtrip(method_checks::model("smits1999", c), Store::spectral, PixelType::float32, stride, 1);
     EXPECT_EQ(single->difference.mean, classic->difference.mean);
     EXPECT_EQ(single->difference.max_at, classic->difference.max_at);
+}
+
+GamutRendering rendered(std::vector<std::string> methods, int bits, int samples, int panel, int threads = 0, std::uint64_t seed = 1) {
+    GamutRenderingOptions options;
+    options.methods = std::move(methods);
+    options.bits = bits, options.samples_per_pixel = samples, options.panel = panel, options.threads = threads, options.seed = seed;
+    auto made = render_gamut(method_checks::colorimetry(), options);
+    EXPECT_TRUE(made) << made.error().message;
+    return *std::move(made);
+}
+
+TEST(Gamut, HoldsEveryColourOnce) {
+    for (const auto& [bits, width] : {std::pair{2, 8}, {4, 64}, {6, 512}}) {
+        if (slow && bits == 6) continue;
+        const auto r = rendered({"mallett2019"}, bits, 1, width);
+        const double last = (1 << bits) - 1;
+        std::set<std::array<int, 3>> codes;
+        for (std::size_t i = 0; i < r.truth.size(); i += 3) {
+            std::array<int, 3> code{};
+            for (std::size_t c = 0; c < 3; ++c) {
+                const double v = last * srgb_encode(static_cast<double>(r.truth[i + c]));
+                code[c] = static_cast<int>(std::lround(v));
+                // Floats of linear light, at the steepest place of the curve.
+                ASSERT_NEAR(v, code[c], 1e-3);
+            }
+            codes.insert(code);
+        }
+        EXPECT_EQ(codes.size(), std::size_t{1} << (3 * bits));
+        EXPECT_EQ(r.texels, codes.size());
+    }
+}
+
+TEST(Gamut, NoiseFallsWithTheRootOfTheSamplesAndExactMethodsHaveNoDistortion) {
+    const auto few = rendered({"mallett2019", "smits1999"}, 4, 64, 32), many = rendered({"mallett2019", "smits1999"}, 4, 1024, 32);
+    for (std::size_t m = 0; m < 2; ++m) {
+        // Lab is curved, so a half of a half is not quite a quarter; a bias would leave a floor.
+        EXPECT_NEAR(few.methods[m].noise.mean / many.methods[m].noise.mean, 4, 0.4);
+        EXPECT_GT(many.methods[m].noise.mean, 0.1);
+        EXPECT_EQ(few.methods[m].distortion.mean, many.methods[m].distortion.mean) << "no samples in it";
+    }
+    EXPECT_LT(few.methods[0].distortion.max, 1e-5);  // of planes of floats
+    EXPECT_GT(few.methods[1].distortion.mean, 1);
+    // What a map shows is what the figures say.
+    for (const auto& method : few.methods) {
+        const auto mean = [](const std::vector<float>& v) { return std::accumulate(v.begin(), v.end(), 0.0) / static_cast<double>(v.size()); };
+        EXPECT_NEAR(mean(method.noise_map), method.noise.mean, 1e-5 * method.noise.mean);
+        EXPECT_NEAR(mean(method.distortion_map), method.distortion.mean, 1e-5 * method.distortion.mean + 1e-12);
+    }
+}
+
+TEST(Gamut, ConvergesToTheContractsQuadrature) {
+    // 64 texels, two million wavelengths each: the standard error of a channel is near 0.001.
+    const auto r = rendered({"lattice"}, 2, slow ? 20000 : 500000, 8);
+    for (std::size_t i = 0; i < r.truth.size(); ++i)
+        EXPECT_NEAR(r.methods[0].rendering[i], r.truth[i], slow ? 0.03 : 0.006) << i;
+}
+
+TEST(Gamut, DependsOnTheSeedAndNotOnThreads) {
+    const auto one = rendered({"jakob2019"}, 4, 4, 50, 1), two = rendered({"jakob2019"}, 4, 4, 50, 2), other = rendered({"jakob2019"}, 4, 4, 50, 2, 7);
+    EXPECT_EQ(one.methods[0].rendering, two.methods[0].rendering);
+    EXPECT_EQ(one.methods[0].noise_map, two.methods[0].noise_map);
+    EXPECT_EQ(one.methods[0].noise.mean, two.methods[0].noise.mean);
+    EXPECT_NE(one.methods[0].rendering, other.methods[0].rendering);
+    EXPECT_EQ(one.methods[0].distortion_map, other.methods[0].distortion_map);
+}
+
+TEST(Gamut, RefusesWhatItCannotRender) {
+    const auto c = method_checks::colorimetry();
+    const auto refused = [&](auto change) {
+        GamutRenderingOptions options;
+        options.methods = {"mallett2019"};
+        options.bits = 2;
+        change(options);
+        return !render_gamut(c, options);
+    };
+    EXPECT_FALSE(refused([](auto&) {}));
+    EXPECT_TRUE(refused([](auto& o) { o.methods.clear(); }));
+    EXPECT_TRUE(refused([](auto& o) { o.methods = {"none such"}; }));
+    EXPECT_TRUE(refused([](auto& o) { o.bits = 3; }));
+    EXPECT_TRUE(refused([](auto& o) { o.bits = 10; }));
+    EXPECT_TRUE(refused([](auto& o) { o.samples_per_pixel = 0; }));
+    EXPECT_TRUE(refused([](auto& o) { o.panel = 0; }));
 }
 
 }  // namespace

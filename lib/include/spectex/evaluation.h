@@ -3,6 +3,7 @@
 
 #include <array>
 #include <cstdint>
+#include <functional>
 #include <span>
 #include <string>
 #include <vector>
@@ -67,5 +68,37 @@ struct RoundTripReport {
 /// @param stride  every stride-th of the 2^24 codes; 1 takes all. @error that of the plan.
 SPECTEX_API Result<RoundTripReport> measure_roundtrip(std::shared_ptr<const Model> model, Store store, PixelType type,
                                                       std::uint32_t stride, int threads);
+
+/// What figure 1 of Mallett and Yuksel 2019 shows of a method, over a texture that holds every colour once.
+struct GamutPanel {
+    std::string method, title, source;
+    DifferenceStatistics noise;       ///< CIE76 of the Monte Carlo rendering against the same spectra without noise
+    DifferenceStatistics distortion;  ///< CIE76 of the spectra, without noise, against the texture
+    std::vector<float> rendering;     ///< [panel][panel][3] linear RGB in [0,1], means over the texels of a pixel
+    std::vector<float> noise_map, distortion_map;  ///< [panel][panel], likewise
+};
+struct GamutRendering {
+    int panel = 0;             ///< width and height of the panels
+    std::uint64_t texels = 0;
+    std::vector<float> truth;  ///< [panel][panel][3] linear RGB: the texture itself
+    std::vector<GamutPanel> methods;
+};
+struct GamutRenderingOptions {
+    std::vector<std::string> methods;
+    int bits = 8;  ///< of a texture's component: 2, 4, 6 or 8; the texture is 2^(3 bits / 2) wide and high
+    int samples_per_pixel = 64;
+    std::uint64_t seed = 1;
+    int panel = 1024;
+    int threads = 0;
+    std::function<void(std::uint64_t done, std::uint64_t total)> progress;  ///< texels, from one thread at a time
+};
+/// Renders a plane whose Lambertian albedo is that texture, seen from above under the colorimetry's illuminant from all sides:
+/// radiance is albedo times illuminant, so that wavelengths are all that is left to sample. Each sample takes a hero
+/// wavelength, uniform over the whole nanometres of the bands' range, and three more at equal distances from it (Wilkie et al.
+/// 2014, doi:10.1111/cgf.12419), so that the mean tends to the colorimetry's own quadrature.
+/// The texture holds every code once, in sixteen tiles of red across and green down whose edges meet in equal colours, blue
+/// rising from tile to tile. The same bytes for any number of threads.
+/// @error usage for a value out of range or no method; that of a method which cannot be made.
+SPECTEX_API Result<GamutRendering> render_gamut(const Colorimetry& colorimetry, const GamutRenderingOptions& options);
 
 }  // namespace spectex

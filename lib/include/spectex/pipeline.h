@@ -16,6 +16,7 @@
 #include "spectex/base.h"
 #include "spectex/color.h"
 #include "spectex/compare.h"
+#include "spectex/heatmap.h"
 #include "spectex/io.h"
 #include "spectex/methods.h"
 #include "spectex/plan.h"
@@ -160,5 +161,7 @@ struct HeatmapReport {
 SPECTEX_API Result<HeatmapReport> heatmap(const std::string& map_or_a, const std::string& b, const std::string& output,
                                           const HeatmapOptions& options);
 
+/// A picture to a file of 8 bits, by its suffix. @error usage for a format of another type; output when it cannot be written.
+SPECTEX_API Status write_picture(const std::string& output, const Picture& picture, int threads);
 
 }  // namespace spectex
