@@ -26,7 +26,7 @@ void add_colorimetry_options(App& app, ColorimetryOptions& options,
 
 /// --method --gamut
 struct MethodOptions {
-    std::string method = "mallett2019";
+    std::string method{default_method};
     GamutPolicy gamut = GamutPolicy::clip;
 };
 void add_method_options(App& app, MethodOptions& options);

@@ -86,26 +86,34 @@ Result<std::vector<SampleSet>> training_sets(const Request& request) {
     return out;
 }
 
-int accuracy(app::App& tool, const Request& request, const Colorimetry& c) {
+/// Every lamp, and the lights that are reported by themselves.
+Result<AccuracyOptions> accuracy_options(const Request& request) {
     auto sets = training_sets(request);
-    if (!sets) return tool.report(sets.error());
+    if (!sets) return std::move(sets).error();
     AccuracyOptions options;
     options.methods = chosen_methods(request);
     options.sets = *std::move(sets);
     for (const auto& path : request.unseen) {
         auto table = read_spectral_csv(path);
-        if (!table) return tool.report(table.error(), path);
+        if (!table) return std::move(table).error();
         options.unseen.push_back(SampleSet{app::stem(path), std::move(table->wavelengths_nm), std::move(table->columns)});
     }
     const auto entries = list_illuminants();
-    if (!entries) return tool.report(entries.error());
+    if (!entries) return entries.error();
     for (const auto& entry : *entries)
         if (entry.name.starts_with("lamp:")) {
             auto lamp = parse_illuminant(entry.name);
-            if (!lamp) return tool.report(lamp.error());
+            if (!lamp) return std::move(lamp).error();
             options.lamps.push_back(*std::move(lamp));
         }
     for (const char* name : {"A", "FL11", "D50"}) options.probes.push_back(*parse_illuminant(name));
+    return options;
+}
+
+int accuracy(app::App& tool, const Request& request, const Colorimetry& c) {
+    const auto made = accuracy_options(request);
+    if (!made) return tool.report(made.error());
+    const AccuracyOptions& options = *made;
     const auto report = measure_accuracy(c, options);
     if (!report) return tool.report(report.error());
 
@@ -200,18 +208,59 @@ int speed(app::App& tool, const Request& request, const Colorimetry& c) {
     return deliver(tool, request, "speed", table, std::move(json));
 }
 
+std::string scaled(double v) { return v == 0 ? "0" : v < 1e-3 ? fmt::format("{:.0e}", v) : fmt::format("{:.3g}", v); }
+
+/// A row a method, of all that is measured here.
+int summary(app::App& tool, const Request& request, const Colorimetry& c) {
+    auto options = accuracy_options(request);
+    if (!options) return tool.report(options.error());
+    const auto accurate = measure_accuracy(c, *options);
+    if (!accurate) return tool.report(accurate.error());
+    Table table({"method", "source", "exact", "mean ΔE76", "max ΔE76", "changed codes", "not in [0,1]", "relight ΔE2000", "step p99", "step max",
+                 "per texel", "to coefficients, Mpixel/s", "relit, Mpixel/s"});
+    Json json{{"what", "methods"}, {"colorimetry", c.describe()}, {"stride", request.stride}, {"lamps", accurate->lamps}, {"methods", Json::array()}};
+    const std::size_t sets = options->sets.size(), cases = sets + options->unseen.size();
+    for (std::size_t m = 0; m < options->methods.size(); ++m) {
+        const auto& id = options->methods[m];
+        const auto model = make_model(id, c);
+        if (!model) return tool.report(model.error());
+        const auto stride = static_cast<std::uint32_t>(request.stride);
+        const auto spectra = measure_roundtrip(*model, Store::spectral, PixelType::float32, stride, tool.threads());
+        if (!spectra) return tool.report(spectra.error());
+        const auto kept = measure_roundtrip(*model, Store::coefficients, PixelType::half, stride, tool.threads());
+        if (!kept) return tool.report(kept.error());
+        const auto smooth = measure_smoothness(**model, static_cast<std::size_t>(request.lines), static_cast<std::uint64_t>(request.seed));
+        double relight = 0;
+        for (std::size_t i = 0; i < sets; ++i) relight += accurate->rows[m * cases + i].mean / static_cast<double>(sets);
+        const auto& info = (*model)->info();
+        const auto& d = spectra->difference;
+        const auto rate = [&](double seconds) { return static_cast<double>(kept->pixels) / 1e6 / std::max(seconds, 1e-9); };
+        table.add({"`" + id + "`", info.source.substr(0, info.source.find_first_of(",;")), info.exact ? "yes" : "no", scaled(d.mean), scaled(d.max),
+                   std::to_string(d.changed_codes), std::to_string(spectra->outside), fmt::format("{:.3f}", relight), fmt::format("{:.4f}", smooth.p99),
+                   fmt::format("{:.3f}", smooth.max) + (smooth.jump > 0.01 ? ", jumps" : ""), std::to_string(info.coefficients),
+                   fmt::format("{:.3g}", rate(kept->store_seconds)), fmt::format("{:.3g}", rate(kept->relight_seconds))});
+        json["methods"].push_back({{"method", id}, {"source", info.source}, {"exact", info.exact}, {"bounded", info.bounded},
+                                   {"mean", d.mean}, {"p99", d.p99}, {"max", d.max}, {"changed_codes", d.changed_codes},
+                                   {"outside", spectra->outside}, {"relight", relight}, {"step_p99", smooth.p99}, {"step_max", smooth.max},
+                                   {"jump", smooth.jump}, {"coefficients", info.coefficients}, {"pixels", kept->pixels},
+                                   {"store_seconds", kept->store_seconds}, {"reproject_seconds", kept->relight_seconds}});
+    }
+    return deliver(tool, request, "methods", table, std::move(json));
+}
+
 }  // namespace
 
 int main(int argc, char** argv) {
-    app::App tool({"spxbench", "[speed|accuracy|smoothness] [options]",
+    app::App tool({"spxbench", "speed|accuracy|smoothness|methods [options]",
                    "Measures methods: run time against error, relighting of measured reflectances, steps between neighbouring colours.",
                    {{"spxbench --methods mallett2019,lattice -o bench", "speed and round trip over all 16,777,216 sRGB codes"},
+                    {"spxbench methods", "one table of all of this, a row a method"},
                     {"spxbench accuracy", "each set of measured reflectances left out in turn, predicted under 404 lamps"},
                     {"spxbench accuracy --unseen mine.csv", "your own reflectances (wavelength_nm, one column a sample) as well"},
                     {"spxbench smoothness --methods lattice,otsu2018", "largest change of a spectrum from one code to the next"}}});
     Request request;
     request.colorimetry.bands = "380:780:5";
-    tool.positional("WHAT", &request.what, 0, 1, "speed, accuracy or smoothness; speed, where -o is given");
+    tool.positional("WHAT", &request.what, 0, 1, "speed, accuracy, smoothness or methods; speed, where -o is given");
     tool.list("--methods", "M,...", &request.methods, "methods; all, unless given");
     tool.list("--stores", "S,...", &request.stores,
               "speed: coefficients-float, coefficients-half, spectral-float, spectral-half; all, unless given");
@@ -229,13 +278,13 @@ int main(int argc, char** argv) {
     app::add_colorimetry_options(tool, request.colorimetry);
     return tool.main(argc, argv, [&]() -> int {
         if (request.what.empty() && request.folder.empty())
-            return tool.usage_error("expected speed, accuracy or smoothness, or -o DIR");
+            return tool.usage_error("expected speed, accuracy, smoothness or methods, or -o DIR");
         const std::string what = request.what.empty() ? "speed" : request.what[0];
         const std::map<std::string, int (*)(app::App&, const Request&, const Colorimetry&)> all{
-            {"speed", speed}, {"accuracy", accuracy}, {"smoothness", smoothness}};
+            {"speed", speed}, {"accuracy", accuracy}, {"smoothness", smoothness}, {"methods", summary}};
         const auto found = all.find(what);
         if (found == all.end())
-            return tool.usage_error(fmt::format("expected speed, accuracy or smoothness, got '{}'", app::escape(what)));
+            return tool.usage_error(fmt::format("expected speed, accuracy, smoothness or methods, got '{}'", app::escape(what)));
         for (const auto& id : request.methods)
             if (const auto known = find_method(id); !known) return tool.report(known.error());
         const auto bands = request.colorimetry.band_set();

@@ -211,7 +211,8 @@ CASES = [
     *[(UP, ["ok.png", "-o", "x.exr", *S, "--bands", b], 64, ["--bands", f"'{b}'" if b.count(":") != 2 else ""])
       for b in ("", "1:2", "2", "0", "-5", "402", "x", "380:780:7", "780:380:5", "380:780:0", "380:780:-5", "nan:780:5", "380:inf:5",
                 "380:780:5:1", "1e9:2e9:1", "36.5")],
-    (UP, ["ok.png", "-o", "x.exr", "--rgb-space", "Rec.2020"], 2, ["Rec.2020", "violate", "0.2106"]),
+    (UP, ["ok.png", "-o", "x.exr", "--rgb-space", "Rec.2020"], 2, ["Rec.2020", "vertex", "violate"]),
+    (UP, ["ok.png", "-o", "x.exr", "--rgb-space", "Rec.2020", "--method", "mallett2019"], 2, ["Rec.2020", "violate", "0.2106"]),
     (UP, ["ok.png", "-o", "x.exr", "--rgb-space", "ACEScg"], 2, ["ACEScg", "violate"]),
     ("spxdiff", ["ok.png"], 64, ["two"]),
     ("spxdiff", ["ok.png", "ok.jpg", "ok.tif"], 64, ["two"]),

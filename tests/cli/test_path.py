@@ -99,7 +99,7 @@ def test_float_spectra_are_the_primaries(run, tmp_path):
     """With 5 nm bands the spectra are the kept primaries, mixed by linear RGB."""
     source = picture("chelsea.png")
     out = tmp_path / "spectra.exr"
-    run("spxuplift", source, "-o", out, "--store", "spectral", "--bands", "380:780:5", "--float", check=0)
+    run("spxuplift", source, "-o", out, "--method", "mallett2019", "--store", "spectral", "--bands", "380:780:5", "--float", check=0)
     bands, spectra = spectral_planes(out)
     nm, basis = oracle.primaries()
     assert np.array_equal(bands, nm)
@@ -215,23 +215,55 @@ def model_relit(pixels, light, bands="mallett2019_cie1931_d65_bt709_380-780-5"):
     return oracle.srgb_decode(pixels / 255) @ (oracle.relight_matrix(nm, light) @ basis).T
 
 
+@pytest.fixture(scope="module")
+def vertices(tmp_path_factory):
+    """Spectra at the 9^3 vertices of the lattice, [r][g][b][bands], as a file of that texture holds them."""
+    folder = tmp_path_factory.mktemp("vertices")
+    r, g, b = np.mgrid[0:9, 0:9, 0:9].astype(np.float32) / 8
+    texture = write_image(folder / "vertices.exr", np.stack([r, g, b], axis=3).reshape(27, 27, 3))
+    out = folder / "spectra.exr"
+    run_tool("spxuplift", texture, "-o", out, "--method", "lattice", "--store", "spectral", "--bands", "380:780:5", "--float", check=0)
+    bands, spectra = spectral_planes(out)
+    return bands, spectra.reshape(9, 9, 9, -1)
+
+
+def lattice_relit(pixels, light, vertices):
+    """The blend of relit vertices, by the order of the components within the cell (Kuhn's tetrahedra)."""
+    bands, spectra = vertices
+    relit = spectra @ oracle.relight_matrix(bands, light).T
+    scaled = oracle.srgb_decode(pixels / 255) * 8
+    cell = np.minimum(np.floor(scaled), 7).astype(int)
+    place = scaled - cell
+    order = np.argsort(-place, axis=2, kind="stable")
+    sorted_place = np.take_along_axis(place, order, axis=2)
+    total = (1 - sorted_place[..., :1]) * relit[tuple(cell[..., c] for c in range(3))]
+    at = cell.copy()
+    for k in range(3):
+        np.put_along_axis(at, order[..., k : k + 1], np.take_along_axis(at, order[..., k : k + 1], axis=2) + 1, axis=2)
+        weight = sorted_place[..., k] - (sorted_place[..., k + 1] if k < 2 else 0)
+        total += weight[..., None] * relit[tuple(at[..., c] for c in range(3))]
+    return total
+
+
+@pytest.mark.parametrize("method", ["mallett2019", "lattice"])
 @pytest.mark.parametrize("through", ["texture", "coefficients", "spectral"])
-def test_relight_agrees_with_numpy(through, tile, run, tmp_path):
+def test_relight_agrees_with_numpy(through, method, tile, run, tmp_path, vertices):
     source, pixels = tile
     # A photograph's sRGB goes to a model on 5 nm, unless --bands says otherwise: by option here, for all three the same.
     grid = ["--bands", "380:780:5"]
     stored = source
     if through != "texture":
         stored = tmp_path / "stored.exr"
-        run("spxuplift", source, "-o", stored, "--float", *grid, *(["--store", "spectral"] if through == "spectral" else []), check=0)
+        run("spxuplift", source, "-o", stored, "--method", method, "--float", *grid, *(["--store", "spectral"] if through == "spectral" else []), check=0)
     lights = ["A", "FL11", "D50", "E", "HP1"]
     run("spxrelight", stored, "-i", ",".join(lights), "-o", tmp_path / "{illuminant}.exr", "--float",
-        *(grid if through == "texture" else []), check=0)
+        *([*grid, "--method", method] if through == "texture" else []), check=0)
     for light in lights:
         relit, names = read_image(tmp_path / f"{light}.exr")
         assert names == ["R", "G", "B"]
         # Float samples and float sums: 1e-6 of the largest value, which is 2 to 3 under lamps as yellow as A and HP1.
-        assert np.abs(relit - model_relit(pixels, light)).max() < 5e-6
+        expected = model_relit(pixels, light) if method == "mallett2019" else lattice_relit(pixels, light, vertices)
+        assert np.abs(relit - expected).max() < 5e-6
 
 
 def test_relight_of_half_bands_agrees_with_numpy(tile, run, tmp_path):
@@ -284,20 +316,21 @@ def test_illuminant_from_file(tile, run, tmp_path):
     power = oracle.illuminant("FL2")
     lamp.write_text("nm,power\n" + "".join(f"{nm},{p:.9g}\n" for nm, p in zip(oracle.NM, power) if 380 <= nm <= 780))
     out = tmp_path / "lit_{illuminant}.exr"
-    run("spxrelight", source, "-i", lamp, "-o", out, "--float", "--bands", "380:780:5", check=0)
+    run("spxrelight", source, "-i", lamp, "-o", out, "--float", "--bands", "380:780:5", "--method", "mallett2019", check=0)
     written = tmp_path / "lit_my_lamp.exr"
     assert np.abs(read_image(written)[0] - model_relit(pixels, "FL2")).max() < 5e-6
     # Of any scale: only relative power counts.
     scaled = tmp_path / "scaled.csv"
     scaled.write_text("".join(f"{nm};{p * 1e-9:.9g}\n" for nm, p in zip(oracle.NM, power) if 380 <= nm <= 780))
-    run("spxrelight", source, "-i", scaled, "-o", tmp_path / "s.exr", "--float", "--bands", "380:780:5", check=0)
+    run("spxrelight", source, "-i", scaled, "-o", tmp_path / "s.exr", "--float", "--bands", "380:780:5", "--method", "mallett2019",
+        check=0)
     assert np.abs(read_image(tmp_path / "s.exr")[0] - read_image(written)[0]).max() < 1e-6
 
 
 def test_mixture_lies_between(tile, run, tmp_path):
     source, pixels = tile
     out = tmp_path / "mix.exr"
-    run("spxrelight", source, "-i", "0.7*A+0.3*FL11", "-o", out, "--float", "--bands", "380:780:5", check=0)
+    run("spxrelight", source, "-i", "0.7*A+0.3*FL11", "-o", out, "--float", "--bands", "380:780:5", "--method", "mallett2019", check=0)
     # Equal luminances are normalised over 360 to 830 nm, the picture over 380 to 780: 5e-5 of A lies outside.
     expected = 0.7 * model_relit(pixels, "A") + 0.3 * model_relit(pixels, "FL11")
     assert np.abs(read_image(out)[0] - expected).max() < 2e-4
@@ -366,7 +399,8 @@ def test_adaptation_to_d65_is_none(tile, run, tmp_path):
 def test_bradford_by_its_published_matrix(tile, run, tmp_path):
     source, pixels = tile
     out = tmp_path / "out.exr"
-    run("spxrelight", source, "-i", "A", "-o", out, "--float", "--adapt", "bradford", "--bands", "380:780:5", check=0)
+    run("spxrelight", source, "-i", "A", "-o", out, "--float", "--adapt", "bradford", "--bands", "380:780:5", "--method", "mallett2019",
+        check=0)
     cone = np.array([[0.8951, 0.2664, -0.1614], [-0.7502, 1.7135, 0.0367], [0.0389, -0.0685, 1.0296]])  # Lam 1985; ICC.1 annex E
     nm, basis = oracle.primaries()
     lamp, d65 = oracle.weights(nm, oracle.illuminant("A")), oracle.weights(nm, oracle.illuminant("D65"))

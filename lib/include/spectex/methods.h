@@ -82,6 +82,9 @@ private:
     Colorimetry colorimetry_;
 };
 
+/// What the tools take where no method is named: exact, and measured to predict measured reflectances best.
+inline constexpr std::string_view default_method = "lattice";
+
 /// All registered methods, in the order of the README's table.
 SPECTEX_API const std::vector<MethodInfo>& methods();
 /// @error usage, listing the ids.

@@ -46,7 +46,7 @@ struct InputReport {
 
 /// How colours are uplifted and kept; what spxuplift and spxdiff --roundtrip share.
 struct UpliftSettings {
-    std::string method = "mallett2019";
+    std::string method{default_method};
     Store store = Store::coefficients;
     BandSet bands;  ///< of the stored spectra, or on which a coefficient texture's model is solved
     ColorimetrySpec colorimetry;
@@ -84,7 +84,7 @@ SPECTEX_API Result<UpliftReport> uplift(const std::string& input, const std::str
 
 struct RelightOptions {
     JobOptions job;
-    std::string method = "mallett2019";  ///< for RGB textures
+    std::string method{default_method};  ///< for RGB textures
     ColorimetrySpec colorimetry;         ///< in which an RGB texture is understood, and the observer under the new light
     BandSet bands;                       ///< on which the method is solved for an RGB texture
     GamutPolicy gamut = GamutPolicy::clip;
