@@ -25,6 +25,9 @@ const std::vector<Entry>& table() {
         smits1999(),
         jakob2019(),
         jakob2019_table(),
+        macadam1935(),
+        burns2020(),
+        meng2015(),
     };
     return entries;
 }

@@ -29,6 +29,9 @@ Entry smits1999();
 Entry smits1999_exact();
 Entry jakob2019();
 Entry jakob2019_table();
+Entry macadam1935();
+Entry burns2020();
+Entry meng2015();
 
 /// The members that every model starts with: format, method, bands, observer, illuminant, rgb_space, matrix. An illuminant
 /// that its name does not bring back (a file, a mixture) carries its power.
