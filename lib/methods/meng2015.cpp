@@ -5,11 +5,14 @@
 // which may exceed 1. A colour takes the spectrum of its chromaticity (bilinear within cells, linear on triangles where the
 // boundary of the gamut cuts a cell; at one sum X + Y + Z both keep the chromaticity exactly), scaled to its own X + Y + Z.
 // Smooth spectra of bright saturated colours then reflect more than falls on them, and are clamped to 1 as published: energy
-// is conserved and the colour is not. That distortion is the method's, for no other step errs.
+// is conserved and the colour is not.
+//
+// As published, the spectra of the grid have their colours under equal energy, and XYZ is taken from linear RGB as it is. A
+// reflectance that is lit by anything else, white included, comes out tinted: the greater part of the method's error. Solved
+// for the illuminant itself (:matched) only the clamp errs.
 //
 // The grid is turned so that one axis is parallel to the line of purples and a point lies on the white, whose spectrum is
-// flat. The published spectra are for equal energy; these are for the illuminant at hand, which favours the method.
-// Boundary points lie a thousandth of the way from the spectral locus to the white, where smooth spectra still exist.
+// flat. Boundary points lie a thousandth of the way from the spectral locus to the white, where smooth spectra still exist.
 #include <fmt/format.h>
 
 #include <algorithm>
@@ -23,6 +26,8 @@
 
 namespace spectex::registry {
 namespace {
+
+constexpr std::string_view matched_id = "meng2015:matched";
 
 using Point = std::array<double, 2>;
 
@@ -62,6 +67,13 @@ std::vector<Point> clip(const std::vector<Point>& polygon, const Side& side) {
     return out;
 }
 
+/// For which light the grid is solved.
+TristimulusWeights grid_weights(const MethodInfo& info, const Colorimetry& c) {
+    if (info.id == matched_id) return {c.xyz_weights(), c.white_xyz()};
+    // Equal energy has power everywhere, so that nothing can fail.
+    return *tristimulus_weights(c.bands(), c.observer(), *parse_illuminant("E"), Normalization::luminance);
+}
+
 /// The geometry: cells of a grid in (u, v), a turned chromaticity plane with the white at the origin.
 class Grid {
 public:
@@ -72,16 +84,16 @@ public:
         bool whole = false;
     };
 
-    explicit Grid(const Colorimetry& c) {
+    Grid(const Colorimetry& c, const TristimulusWeights& light) {
         const std::size_t n = c.bands().size();
-        const auto& w = c.xyz_weights();
+        const auto& w = light.w;
         std::vector<Point> locus;
         for (std::size_t l = 0; l < n; ++l) {
             const double sum = w[l] + w[n + l] + w[2 * n + l];
             if (sum > 0) locus.push_back({w[l] / sum, w[n + l] / sum});
         }
         if (locus.size() < 3) return;
-        const Vector3& white = c.white_xyz();
+        const Vector3& white = light.white;
         const double sum = white[0] + white[1] + white[2];
         white_ = {white[0] / sum, white[1] / sum};
         const Point purple{locus.back()[0] - locus.front()[0], locus.back()[1] - locus.front()[1]};
@@ -227,8 +239,8 @@ private:
     std::vector<double> spectra_;  ///< [nodes][bands], each with X + Y + Z = 1
 };
 
-Result<Grid> make_grid(const MethodInfo& info, const Colorimetry& colorimetry) {
-    Grid grid(colorimetry);
+Result<Grid> make_grid(const MethodInfo& info, const Colorimetry& colorimetry, const TristimulusWeights& light) {
+    Grid grid(colorimetry, light);
     if (!grid.covered())
         return Error{ErrorKind::infeasible, fmt::format("{}: a primary lies outside the chromaticities of the bands ({})", info.id,
                                                         colorimetry.describe())};
@@ -236,12 +248,13 @@ Result<Grid> make_grid(const MethodInfo& info, const Colorimetry& colorimetry) {
 }
 
 ModelResult make(const MethodInfo& info, const Colorimetry& colorimetry) {
-    auto grid = make_grid(info, colorimetry);
+    const auto light = grid_weights(info, colorimetry);
+    auto grid = make_grid(info, colorimetry, light);
     if (!grid) return std::move(grid).error();
     std::vector<double> spectra;
     for (const Point& uv : grid->nodes()) {
         const Point xy = grid->to_xy(uv);
-        const auto solved = smoothest_spectrum(colorimetry.xyz_weights(), colorimetry.bands().wavelengths_nm(),
+        const auto solved = smoothest_spectrum(light.w, colorimetry.bands().wavelengths_nm(),
                                                {xy[0], xy[1], 1 - xy[0] - xy[1]}, std::numeric_limits<double>::infinity());
         if (!solved)
             return Error{solved.error().kind, fmt::format("{}: no spectrum for xy ({}, {}): {}", info.id, xy[0], xy[1], solved.error().message)};
@@ -251,13 +264,14 @@ ModelResult make(const MethodInfo& info, const Colorimetry& colorimetry) {
 }
 
 ModelResult read(const MethodInfo& info, const Colorimetry& colorimetry, const Json& json) {
-    auto grid = make_grid(info, colorimetry);
+    const auto light = grid_weights(info, colorimetry);
+    auto grid = make_grid(info, colorimetry, light);
     if (!grid) return Error{ErrorKind::input, "model: " + grid.error().message};
     const std::size_t n = colorimetry.bands().size();
     // A spectrum that is one spike of the faintest band may be as high as the band is faint.
     auto spectra = read_numbers(json, "spectra", grid->nodes().size() * n, 0, 1e12);
     if (!spectra) return std::move(spectra).error();
-    const auto& w = colorimetry.xyz_weights();
+    const auto& w = light.w;
     for (std::size_t k = 0; k < grid->nodes().size(); ++k) {
         const Point xy = grid->to_xy(grid->nodes()[k]);
         for (std::size_t c = 0; c < 3; ++c) {
@@ -272,17 +286,20 @@ ModelResult read(const MethodInfo& info, const Colorimetry& colorimetry, const J
     return std::shared_ptr<const Model>(std::make_shared<MengModel>(info, colorimetry, *std::move(grid), *std::move(spectra)));
 }
 
-}  // namespace
-
-Entry meng2015() {
+Entry entry(std::string_view id, std::string title) {
     MethodInfo info;
-    info.id = "meng2015";
-    info.title = "Smoothest spectra on a chromaticity grid, clamped to conserve energy";
+    info.id = id;
+    info.title = std::move(title);
     info.source = "Meng, Simon, Hanika and Dachsbacher 2015, CGF 34(4), doi:10.1111/cgf.12676";
     info.pieces = Pieces::nonlinear;
     info.exact = false;
     info.bounded = true;
     return {std::move(info), make, read};
 }
+
+}  // namespace
+
+Entry meng2015() { return entry("meng2015", "Smoothest spectra on a grid, clamped"); }
+Entry meng2015_matched() { return entry(matched_id, "The same, for the illuminant itself"); }
 
 }  // namespace spectex::registry

@@ -28,6 +28,7 @@ const std::vector<Entry>& table() {
         macadam1935(),
         burns2020(),
         meng2015(),
+        meng2015_matched(),
     };
     return entries;
 }
