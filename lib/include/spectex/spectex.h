@@ -11,5 +11,7 @@
 #include "spectex/methods.h"
 #include "spectex/pipeline.h"
 #include "spectex/plan.h"
+#include "spectex/scene.h"
 #include "spectex/solvers.h"
 #include "spectex/spectral.h"
+#include "spectex/texture_use.h"
