@@ -65,14 +65,15 @@ struct PixelStatistics {
     int channels = 0;                     ///< of colour: 1 or 3
     std::array<double, 3> mean{}, deviation{};
     double grey = 0;                      ///< share of pixels whose channels differ by at most 2/255
-    double unit_length = 0;               ///< share of pixels with | |2c-1| - 1 | <= 0.1 and blue >= 0.5 - 2/255
-    double blue_dominant = 0;             ///< share of pixels whose blue is the largest channel, or equal to it
+    double unit_length = 0;               ///< share of pixels whose decoded length |2c - 1| is within 0.1 of 1
     double binary = 0;                    ///< share of pixels within 3/255 of black or of white in every channel
     double saturated = 0;                 ///< share of pixels with a saturation (max - min) / max over 0.9 and max over 0.3
     double largest_colors = 0;            ///< share of the 16 commonest colours (5 bits a channel)
     int distinct_colors = 0;              ///< of 15-bit colours, at most 32768
     double flat = 0;                      ///< share of pixels equal to their left neighbour
     double transparent = 0;               ///< share of all pixels with alpha 0
+    double over_one = 0;                  ///< share of pixels with a sample over 1
+    double negative = 0;                  ///< share of pixels with a sample under 0
     bool constant = false;
     bool lut = false;                     ///< a strip or square of slices in which red rises along x as an identity's does
 };

@@ -1,0 +1,17 @@
+// The words of a texture's name.
+#pragma once
+
+#include <string>
+#include <string_view>
+#include <vector>
+
+namespace spectex::textures {
+
+/// Lower-case words of a file's stem or a folder's name: cut at everything but letters and digits, where letters and digits
+/// meet, and where camelCase begins a word (`NormalGL` is normal, gl; `AORough` is ao, rough). Digits are kept as words.
+std::vector<std::string> name_words(std::string_view name);
+
+/// File name without folders, image suffixes and a UDIM tile (`.1001`, `_u1_v2`, `<UDIM>`).
+std::string texture_stem(std::string_view path);
+
+}  // namespace spectex::textures
