@@ -40,6 +40,8 @@ struct SceneTexture {
     bool exists = false;
     bool embedded = false;  ///< data URI or buffer view: nothing to convert on disk
     bool raw = false;       ///< marked as linear or raw by the scene
+    std::size_t token = no_token;  ///< index into Scene::tokens
+    static constexpr std::size_t no_token = static_cast<std::size_t>(-1);
 };
 
 struct SceneIlluminant {
@@ -52,19 +54,21 @@ struct SceneWarning {
     std::string file, where, message;
 };
 
-/// A run of bytes in a file of the scene that stands for a texture's path or an included file's.
+/// A run of bytes in a file of the scene that stands for a texture's path, an included file's, or a colour space.
 struct SceneToken {
-    std::size_t file = 0;       ///< index into Scene::files
-    std::size_t begin = 0, end = 0;
-    std::size_t texture = 0;    ///< index into Scene::textures, unless include
-    bool include = false;
-    std::size_t included = 0;   ///< index into Scene::files, where include
+    enum class Kind { texture, include, colorspace };
+    Kind kind = Kind::texture;
+    std::size_t file = 0;             ///< index into Scene::files
+    std::size_t begin = 0, end = 0;   ///< without quotes; begin == end: where a colour space is to be inserted
+    std::size_t target = 0;           ///< include: index into Scene::files; colorspace: the texture's token
+    std::string prefix;               ///< put before the path by the format: MaterialX's fileprefix
 };
 
 struct Scene {
     std::string path;
     SceneFormat format = SceneFormat::pbrt;
-    std::vector<std::string> files;  ///< every text that was read, the scene itself first
+    std::vector<std::string> files;  ///< every text that was read, the scene itself first, absolute
+    std::vector<std::uint64_t> hashes;  ///< XXH3 of each, by which rewrite_scene knows that nothing changed
     std::vector<SceneTexture> textures;
     std::vector<SceneIlluminant> illuminants;
     std::vector<SceneWarning> warnings;
@@ -103,9 +107,10 @@ SPECTEX_API SceneOutput scene_output(SceneFormat format);
 /// Writes the scene with the paths of converted textures; all other bytes stay. A token changes only where every use of its
 /// texture is a reflectance. Files that the scene includes are written beside `output`, as STEM.NAME, where they change.
 /// @param converted  resolved path of a texture to the path of its conversion; written relative to the output's folder
-///                   where the scene's own path was relative.
-/// @error usage: the format cannot take EXRs, `output` is one of the scene's files or lies in another folder than the scene
-///        (its other relative paths would break); input: a text changed since read_scene; output.
+///                   where the scene's own path was relative. Other relative paths stay: `notes` says so where the output
+///                   lies in another folder than the scene.
+/// @error usage: the format cannot take EXRs, or `output` is one of the scene's files or of the converted ones;
+///        input: a text changed since read_scene; output.
 SPECTEX_API Result<SceneRewrite> rewrite_scene(const Scene& scene, const std::string& output,
                                                const std::map<std::string, std::string>& converted);
 
