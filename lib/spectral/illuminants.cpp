@@ -7,6 +7,7 @@
 #include <set>
 
 #include "spectex/spectral.h"
+#include "spectral/lamp_files.h"
 #include "spectral/names.h"
 #include "spectral/numeric.h"
 #include "spectral/tables.h"
@@ -194,62 +195,13 @@ std::string near_names(std::string_view name) {
     return out;
 }
 
-/// Two columns of numbers: wavelength in nm and relative power. Comments begin with #, ; or //; fields are parted by commas,
-/// semicolons or blanks; one line of column names may come first.
-Result<SpectralDistribution> parse_two_columns(std::string_view text, std::string_view file) {
-    std::vector<double> nm, power;
-    std::size_t number = 0;
-    bool header_seen = false;
-    const auto wrong = [&](const std::string& why) { return input(fmt::format("{}: line {}: {}", file, number, why)); };
-    while (!text.empty()) {
-        ++number;
-        const auto end = text.find('\n');
-        auto line = text.substr(0, end);
-        text.remove_prefix(end == std::string_view::npos ? text.size() : end + 1);
-        if (number == 1 && line.substr(0, 3) == "\xEF\xBB\xBF") line.remove_prefix(3);
-        if (const auto comment = line.find('#'); comment != std::string_view::npos) line = line.substr(0, comment);
-        if (const auto comment = line.find("//"); comment != std::string_view::npos) line = line.substr(0, comment);
-        line = trimmed(line);
-        if (line.empty() || line.front() == ';') continue;
-        std::vector<std::string_view> fields;
-        for (std::size_t at = 0; at < line.size();) {
-            const auto stop = std::min(line.find_first_of(",; \t", at), line.size());
-            if (stop > at) fields.push_back(line.substr(at, stop - at));
-            at = stop + 1;
-        }
-        const auto first = fields.empty() ? std::nullopt : parse_number(fields[0]);
-        if (!first && nm.empty() && !header_seen) {
-            header_seen = true;
-            continue;
-        }
-        if (fields.size() != 2)
-            return wrong(fmt::format("{} fields, expected two: wavelength in nm and power", fields.size()));
-        const auto second = parse_number(fields[1]);
-        if (!first || *first <= 0) return wrong(fmt::format("'{}' is no wavelength in nm", fields[0]));
-        if (!second) return wrong(fmt::format("'{}' is no finite power", fields[1]));
-        if (*second < 0) return wrong(fmt::format("power {} is negative", *second));
-        if (!nm.empty() && *first <= nm.back())
-            return wrong(fmt::format("wavelength {} nm does not lie above {} nm: expected ascending, none twice", *first,
-                                     nm.back()));
-        if (*first > 1e5) return wrong(fmt::format("wavelength {} is beyond 100000 nm: expected nanometres", *first));
-        nm.push_back(*first);
-        power.push_back(*second);
-    }
-    if (nm.size() < 2) return input(fmt::format("{}: {} rows of numbers, expected at least two", file, nm.size()));
-    if (nm.back() < 360 || nm.front() > 830)
-        return input(fmt::format("{}: wavelengths {} to {} do not meet the visible range, 360 to 830 nm: expected nanometres",
-                                 file, nm.front(), nm.back()));
-    if (std::all_of(power.begin(), power.end(), [](double p) { return p == 0; }))
-        return input(fmt::format("{}: the power is zero everywhere", file));
-    return SpectralDistribution::make(std::move(nm), std::move(power));
-}
-
 Result<Illuminant> from_file(std::string_view path) {
     const std::string name(path);
-    const auto text = read_text(name);
+    const auto text = read_text(name, most_lamp_bytes);
     if (!text) return text.error();
-    const auto stem = std::filesystem::path(name).stem().string();
-    return made(stem, "file " + name, parse_two_columns(*text, path));
+    auto lamp = parse_lamp_file(*text, path);
+    if (!lamp) return std::move(lamp).error();
+    return Illuminant{std::filesystem::path(name).stem().string(), fmt::format("{} {}", lamp->format, name), std::move(lamp->power)};
 }
 
 std::optional<std::string> regular_file(std::string_view text) {

@@ -76,8 +76,7 @@ bool split_csv_line(std::string_view line, std::vector<std::string>& fields) {
 
 }  // namespace
 
-Result<std::string> read_text(const std::string& path) {
-    constexpr std::uintmax_t most = 64u << 20;
+Result<std::string> read_text(const std::string& path, std::uintmax_t most) {
     std::error_code failed;
     const auto bytes = std::filesystem::file_size(path, failed);
     if (failed) return Error{ErrorKind::input, fmt::format("{}: not a readable file", path)};

@@ -1,4 +1,4 @@
-// The first byte chooses: a specification, or the content of a lamp's file.
+// The first byte chooses: a specification (even), or the content of a lamp's file and its suffix.
 #include <algorithm>
 #include <cmath>
 
@@ -36,7 +36,8 @@ int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size) {
         check(spectex::parse_illuminant(text));
     } else {
         static const spectex::fuzz::Folder folder;
-        check(spectex::parse_illuminant(folder.write("lamp.csv", rest)));
+        constexpr const char* names[] = {"lamp.csv", "lamp.spd", "lamp.sp", "lamp.spdx"};
+        check(spectex::parse_illuminant(folder.write(names[data[0] / 2 % 4], rest)));
     }
     return 0;
 }

@@ -187,6 +187,109 @@ TEST_F(IlluminantFiles, NameTheLineThatIsWrong) {
         EXPECT_FALSE(parse_illuminant(write("bad.csv", text))) << text;
 }
 
+TEST_F(IlluminantFiles, SayInWhichUnitTheyWouldBeSeen) {
+    for (const auto& [text, unit] : std::vector<std::pair<std::string, std::string>>{
+             {"# a lamp\n0.4,1\n0.7,2\n", "µm"}, {"# a lamp\n4e-7 1\n7e-7 2\n", "in m:"}, {"# a lamp\n4000 1\n7000 2\n", "Å"}}) {
+        const auto lamp = parse_illuminant(write("unit.csv", text));
+        ASSERT_FALSE(lamp) << text;
+        for (const std::string& part : {unit, std::string("line 2"), std::string("expected nanometres")})
+            EXPECT_NE(lamp.error().message.find(part), std::string::npos) << lamp.error().message;
+    }
+}
+
+/// One light in the spelling of every format.
+const std::vector<std::pair<std::string, std::string>> one_light{
+    {"l.csv", "wavelength,power\n400,1\n450,3.5\n500,2\n"},
+    {"l.txt", "; words\n400 1\n450\t3.5 # peak\n\n500 2"},
+    {"l.spd", "# pbrt\n400 1 450\n3.5\n500 2\n"},
+    {"l.sp", "SPECT  \n\nORIGINATOR \"Argyll CMS\"\nKEYWORD \"SPECTRAL_BANDS\"\nSPECTRAL_BANDS \"3\"\nKEYWORD \"SPECTRAL_START_NM\"\n"
+             "SPECTRAL_START_NM \"400.000000\"\nSPECTRAL_END_NM \"500.000000\"\nSPECTRAL_NORM \"2.000000\"\nMEAS_TYPE \"EMISSION\"\n"
+             "NUMBER_OF_FIELDS 3\nBEGIN_DATA_FORMAT\nSPEC_400 SPEC_450 SPEC_500\nEND_DATA_FORMAT\n\nNUMBER_OF_SETS 1\nBEGIN_DATA\n"
+             "2.0 7.0\n4.0\nEND_DATA\n"},
+    {"named.sp", "CGATS.17\nBEGIN_DATA_FORMAT\nSAMPLE_ID nm400 nm450 nm500\nEND_DATA_FORMAT\nBEGIN_DATA\n\"my lamp\" 1 3.5 2\nEND_DATA\n"},
+    {"l.spdx", "<?xml version=\"1.0\" encoding=\"utf-8\"?>\n<!DOCTYPE x [<!ENTITY a \"&a;&a;\">]>\n"
+               "<IESTM2714 xmlns=\"http://www.ies.org/iestm2714\" version=\"1.0\"><Header><Description>a lamp</Description></Header>\n"
+               "<SpectralDistribution><SpectralQuantity>relative</SpectralQuantity>\n<SpectralData wavelength=\"400\">1</SpectralData>\n"
+               "<SpectralData wavelength=\"450.0\"> 3.5 </SpectralData><SpectralData wavelength=\"500\">2</SpectralData>\n"
+               "</SpectralDistribution></IESTM2714>\n"},
+    {"micro.spdx", "<t:IESTM2714 xmlns:t=\"u\"><t:SpectralDistribution><t:WavelengthUnits>um</t:WavelengthUnits>"
+                   "<t:SpectralData wavelength=\"0.4\">1</t:SpectralData><t:SpectralData wavelength=\"0.45\">3.5</t:SpectralData>"
+                   "<t:SpectralData wavelength=\"0.5\">2</t:SpectralData></t:SpectralDistribution></t:IESTM2714>"}};
+
+TEST_F(IlluminantFiles, AreOneLightInEveryFormat) {
+    for (const auto& [name, text] : one_light) {
+        const auto lamp = parse_illuminant(write(name, text));
+        ASSERT_TRUE(lamp) << name << ": " << lamp.error().message;
+        ASSERT_EQ(lamp->power.size(), 3u) << name;
+        for (const auto& [nm, power] : {std::pair{400.0, 1.0}, {450.0, 3.5}, {500.0, 2.0}, {425.0, 2.25}})
+            // Micrometres times 1000 may miss a nanometre by an ulp.
+            EXPECT_NEAR(lamp->power.at(nm, Extrapolation::hold), power, 1e-12) << name;
+    }
+}
+
+TEST_F(IlluminantFiles, NameTheLineInEveryFormat) {
+    const auto changed = [](std::size_t i, const std::string& from, const std::string& to) {
+        auto [name, text] = one_light[i];
+        const auto at = text.find(from);
+        EXPECT_NE(at, std::string::npos) << from;
+        if (at != std::string::npos) text.replace(at, from.size(), to);
+        return std::pair{name, text};
+    };
+    const std::size_t spd = 2, sp = 3, spdx = 5;
+    struct Case {
+        std::pair<std::string, std::string> file;
+        std::vector<std::string> parts;
+    };
+    for (const auto& [file, parts] : std::vector<Case>{
+             {changed(spd, "500 2", "500"), {"line 4", "no power"}},
+             {changed(spd, "3.5", "-3.5"), {"line 3", "negative"}},
+             {changed(spd, "500 2", "440 2"), {"line 4", "ascending"}},
+             {changed(sp, "7.0", "nan"), {"line 18", "finite"}},
+             {changed(sp, "4.0", "-4.0"), {"line 19", "negative"}},
+             {changed(sp, "SPECTRAL_BANDS \"3\"", "SPECTRAL_BANDS \"4000000000\""), {"line 5", "3 values"}},
+             {changed(sp, "\"400.0", "\"600.0"), {"line 7", "ascend"}},
+             {changed(sp, "\"400.0", "\"300.0"), {"SPECTRAL_START_NM", "400"}},
+             {changed(sp, "SETS 1", "SETS 2"), {"line 16", "2 spectra"}},
+             {changed(sp, "2.0 7.0", "2.0"), {"2 values for 3 fields"}},
+             {changed(sp, "END_DATA\n", "\n"), {}},
+             {changed(sp, "EMISSION", "REFLECTIVE"), {"line 10", "REFLECTIVE"}},
+             {changed(sp, "\"2.000000\"", "\"0\""), {"line 9", "SPECTRAL_NORM"}},
+             {changed(spdx, "450.0", "399"), {"line 6", "ascending"}},
+             {changed(spdx, " 3.5 ", "-1"), {"line 6", "negative"}},
+             {changed(spdx, ">2<", "><"), {"line 6", "power"}},
+             {changed(spdx, "wavelength=\"500\"", ""), {"line 6", "wavelength"}},
+             {changed(spdx, "relative", "reflectance"), {"line 4", "reflectance"}},
+             {changed(spdx, "</Header>", ""), {"XML"}},
+             {changed(spdx, ">2<", ">&a;<"), {"line 6", "power"}},
+             {changed(spdx, "relative</SpectralQuantity>", "relative</SpectralQuantity><WavelengthUnits>inch</WavelengthUnits>"),
+              {"line 4", "inch"}},
+             {{"e.spdx", ""}, {"XML"}},
+             {{"e.sp", "SPECT\nBEGIN_DATA\n1 2\n"}, {"line 3", "END_DATA"}}}) {
+        const auto lamp = parse_illuminant(write("bad_" + file.first, file.second));
+        ASSERT_FALSE(lamp) << file.second;
+        EXPECT_EQ(lamp.error().kind, ErrorKind::input);
+        EXPECT_NE(lamp.error().message.find("bad_" + file.first), std::string::npos) << lamp.error().message;
+        for (const auto& part : parts) EXPECT_NE(lamp.error().message.find(part), std::string::npos) << lamp.error().message << "\n" << part;
+    }
+}
+
+TEST_F(IlluminantFiles, RefuseWhatIsTooLarge) {
+    std::string rows;
+    for (int i = 0; i <= 100000; ++i) rows += std::to_string(400 + i / 1000.0) + " 1\n";
+    for (const char* name : {"rows.csv", "rows.spd"}) {
+        const auto lamp = parse_illuminant(write(name, rows));
+        ASSERT_FALSE(lamp);
+        EXPECT_NE(lamp.error().message.find("line 100001: more than 100000"), std::string::npos) << lamp.error().message;
+    }
+    const auto bytes = parse_illuminant(write("bytes.csv", std::string(std::size_t{9} << 20, '#')));
+    ASSERT_FALSE(bytes);
+    EXPECT_NE(bytes.error().message.find("9437184 bytes"), std::string::npos) << bytes.error().message;
+    // Depth costs nothing: no part of the reader recurses.
+    std::string deep;
+    for (int i = 0; i < 200000; ++i) deep += "<a>";
+    EXPECT_FALSE(parse_illuminant(write("deep.spdx", deep)));
+}
+
 TEST_F(IlluminantFiles, FineLinesAreNotLostBetweenSamples) {
     // A line 0.2 nm wide between two whole nanometres: point sampling at 1 nm would not see it at all.
     const auto lamp = parse_illuminant(write("line.csv", "380,0\n546.3,0\n546.4,1\n546.5,0\n780,0\n"));

@@ -118,7 +118,7 @@ struct Illuminant {
 
 /// An illuminant from its specification: a name (A B C D50 D55 D60 D65 D75 D93 E F1..F12 FL1..FL12 FL3.1..FL3.15
 /// HP1..HP5), a lamp of the table by `lamp:INDEX` or label, `D:CCT` (daylight, 4000..25000 K), `P:CCT` (Planck),
-/// a two-column file (.csv .txt .sp .spd), or a weighted mixture `0.7*A+0.3*FL11` (each normalised to equal luminance of
+/// a file (two columns of .csv or .txt, CGATS .sp, pbrt .spd, IES TM-27-14 .spdx), or a weighted mixture `0.7*A+0.3*FL11` (each normalised to equal luminance of
 /// CIE 1931 first).
 /// Sources: CIE 15:2018 eq. 3.1 (A), 4.3..4.6 (daylight); Planck's law with c2 of CODATA 2018.
 /// @error usage for an unknown name or a temperature out of range; input for a file, naming the line.
