@@ -25,6 +25,12 @@ Json to_json(const InputReport& r) {
     return json;
 }
 
+Json to_json(const BoundedReport& r) {
+    Json checks = Json::array();
+    for (const auto& check : r.checks) checks.push_back({{"name", check.name}, {"max", check.max}});
+    return {{"bound", r.bound}, {"mean_bits", r.mean_bits}, {"kept_bits", r.kept_bits}, {"checks", std::move(checks)}};
+}
+
 std::string summary(const DifferenceStatistics& s) {
     if (s.pixels == 0) return "no finite pixels";
     return fmt::format("mean {:.4g}  p99 {:.4g}  max {:.4g} at {},{}", s.mean, s.p99, s.max, s.max_at[0], s.max_at[1]);

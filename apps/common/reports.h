@@ -10,6 +10,8 @@ namespace spectex::app {
 Json to_json(const DifferenceStatistics& statistics, Metric metric);
 /// width, height, colorspace, colorspace_reason, nonfinite, first_nonfinite, out_of_gamut.
 Json to_json(const InputReport& report);
+/// bound, mean_bits, kept_bits (pixels by mantissa bits, from 0), checks [{name, max}].
+Json to_json(const BoundedReport& report);
 /// A line of figures for people: "mean 0.01  p99 0.03  max 0.05 at 17,4".
 std::string summary(const DifferenceStatistics& statistics);
 /// Warns of pixels that were replaced or mapped.

@@ -6,6 +6,18 @@ void add_uplift_options(App& app, UpliftOptionSet& options) {
     add_method_options(app, options.method);
     app.choice("--store", "WHAT", &options.store, {"coefficients", "spectral"},
                "what the file holds: three coefficients per texel with the model in the header, or one channel per band");
+    app.number("--max-error", "DE", &options.max_error, 1e-4, 100, "CIE76",
+               "round mantissas, of each pixel as far as its stored colour stays within this of the exact one: smaller files");
+    app.add({.names = "--for", .metavar = "ILLUMINANT[,ILLUMINANT...]",
+             .text = "lights that the file is meant for: --max-error holds under each",
+             .set = [&options](std::string_view value) -> Status {
+                 auto items = parse_list(value);
+                 if (!items) return items.error();
+                 for (const auto& item : *items)
+                     if (auto light = parse_illuminant(item); !light) return light.error();
+                 options.lights = *std::move(items);
+                 return {};
+             }});
     add_colorimetry_options(app, options.colorimetry);
     add_output_options(app, options.output, OutputTypes::float_only);
 }
@@ -17,6 +29,14 @@ Result<UpliftSettings> UpliftOptionSet::settings(const App& app) const {
     s.store = store == "spectral" ? Store::spectral : Store::coefficients;
     s.colorimetry = colorimetry.spec;
     s.type = output.type;
+    s.max_error = max_error;
+    for (const auto& name : lights) {
+        auto light = parse_illuminant(name);
+        if (!light) return std::move(light).error();
+        s.lights.push_back(*std::move(light));
+    }
+    if (!lights.empty() && !max_error)
+        return Error{ErrorKind::usage, "--for names lights for a bound: expected --max-error DE as well"};
     // A coefficient texture stores no bands: its model is solved on the finer grid of the library unless asked otherwise.
     if (s.store == Store::spectral || app.given("--bands")) {
         auto bands = colorimetry.band_set();

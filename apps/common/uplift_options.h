@@ -11,11 +11,13 @@ struct UpliftOptionSet {
     MethodOptions method;
     OutputOptions output;
     std::string store = "coefficients";
+    std::optional<double> max_error;
+    std::vector<std::string> lights;
 
     /// @error usage.
     Result<UpliftSettings> settings(const App& app) const;
 };
-/// --method --gamut --store --bands --observer --illuminant --rgb-space --matrix --half --float --compression
+/// --method --gamut --store --max-error --for --bands --observer --illuminant --rgb-space --matrix --half --float --compression
 void add_uplift_options(App& app, UpliftOptionSet& options);
 
 }  // namespace spectex::app

@@ -13,6 +13,7 @@ int main(int argc, char** argv) {
              {{"spxuplift bricks.png -o bricks.exr", "three half floats per texel and the model in the header"},
               {"spxuplift bricks.png -o bricks.exr --store spectral --bands 380:780:10", "41 reflective bands T.380nm to T.780nm"},
               {"spxuplift *.png -o spectral/ --store spectral --half --compression piz", "many files into a folder"},
+              {"spxuplift bricks.png -o bricks.exr --store spectral --max-error 0.5 --for D65,A,FL11", "fewer mantissa bits, no pixel off by more under these lights"},
               {"spxuplift bricks.png -o bricks.exr --check --json -", "measure the round trip of every pixel"}}});
     std::vector<std::string> arguments;
     std::string output, layout = "single", input_colorspace;
@@ -57,6 +58,14 @@ int main(int argc, char** argv) {
             app.note(fmt::format("{}: {} channels of {}, {}, round trip CIE76 {} ({})", report->output, report->channels.size(),
                                  pixel_type_name(report->type), report->model, summary(report->roundtrip),
                                  report->checked_all ? "every pixel" : "every 16th row"));
+            const double ratio = report->file_bytes > 0 ? static_cast<double>(report->raw_bytes) / static_cast<double>(report->file_bytes) : 0;
+            if (report->bounded) {
+                std::string checks;
+                for (const auto& check : report->bounded->checks) checks += fmt::format(", {} {:.4g}", check.name, check.max);
+                app.note(fmt::format("{}: {:.3g} mantissa bits kept on average, largest CIE76 of every pixel{}; {} bytes, {:.3g} times "
+                                     "smaller than its samples",
+                                     report->output, report->bounded->mean_bits, checks.substr(1), report->file_bytes, ratio));
+            }
             Json json = to_json(report->input);
             json["output"] = report->output;
             json["method"] = options.settings.method;
@@ -66,6 +75,10 @@ int main(int argc, char** argv) {
             json["channels"] = report->channels;
             json["roundtrip"] = to_json(report->roundtrip, Metric::cie76);
             json["roundtrip"]["checked"] = report->checked_all ? "all" : "every 16th row";
+            json["file_bytes"] = report->file_bytes;
+            json["raw_bytes"] = report->raw_bytes;
+            json["ratio"] = ratio;
+            if (report->bounded) json["max_error"] = to_json(*report->bounded);
             return json;
         });
     });

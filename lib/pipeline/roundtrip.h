@@ -7,6 +7,7 @@
 #include <span>
 
 #include "pipeline/source.h"
+#include "plan/bounded_store.h"
 #include "spectex/pipeline.h"
 
 namespace spectex::pipeline {
@@ -23,6 +24,7 @@ struct Scratch {
 struct Counts {
     std::uint64_t nonfinite = 0, out_of_gamut = 0;
     std::size_t first_nonfinite = std::numeric_limits<std::size_t>::max();  ///< index within the strip
+    BoundedStore::Outcome bounded;
 };
 
 /// Where a group of pixels lies, so that a message can name one of them.
@@ -42,10 +44,12 @@ class CountTotals {
 public:
     void add(const Counts& counts, int strip_y, int width);
     void put_into(InputReport& report) const;
+    const BoundedStore::Outcome& bounded() const { return bounded_; }
 
 private:
     std::mutex mutex_;
     std::uint64_t nonfinite_ = 0, out_of_gamut_ = 0, first_ = std::numeric_limits<std::uint64_t>::max();
+    BoundedStore::Outcome bounded_;
 };
 
 /// An opened texture with the model and the plan by which it is stored.
@@ -56,6 +60,7 @@ struct UpliftSetup {
     std::shared_ptr<const Model> model;
     StorePlan plan;
     GamutPolicy gamut;
+    std::shared_ptr<const BoundedStore> bounded;  ///< in place of plan.store, under max_error
 
     /// Pixels [begin, begin + n) of the strip at row y to stored samples; leaves the linearised input and the mapped colours in scratch.
     Status convert(const RawStrip& raw, int y, std::size_t begin, std::size_t n, Scratch& scratch, std::span<std::byte* const> planes,

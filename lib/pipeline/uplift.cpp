@@ -1,6 +1,7 @@
 #include <fmt/format.h>
 
 #include <algorithm>
+#include <filesystem>
 #include <limits>
 
 #include "kernels/convert.h"
@@ -27,6 +28,20 @@ std::string padded(std::string text) {
 std::string roundtrip_text(const DifferenceStatistics& s, bool all) {
     return padded(fmt::format("CIE76 mean {:.6g} p99 {:.6g} max {:.6g} changed8bit {} over {} pixels, {}", s.mean, s.p99, s.max,
                               s.changed_codes, s.pixels, all ? "all rows" : fmt::format("every {}th row", sampled_row_stride)));
+}
+
+/// The same for what --max-error came to.
+std::string bounded_text(const BoundedReport& b) {
+    std::string text = fmt::format("CIE76 bound {:g} on every pixel, kept bits mean {:.3g}, max", b.bound, b.mean_bits);
+    for (const auto& check : b.checks) text += fmt::format(" {} {:.6g}", check.name, check.max);
+    return text;
+}
+
+/// Room for bounded_text: as long a text as it can become.
+std::string bounded_placeholder(const BoundedStore& store, std::size_t checks) {
+    BoundedReport longest{store.bound(), -1.23456e-100, {}, {}};
+    for (std::size_t c = 0; c < checks; ++c) longest.checks.push_back({store.check_name(c), -1.23456e-100});
+    return bounded_text(longest);
 }
 
 /// R, G, B preview: the stored reflectance under D65 for CIE 1931, linear BT.709.
@@ -64,7 +79,13 @@ Result<UpliftSetup> UpliftSetup::make(const std::string& input, const UpliftSett
                                      : PixelType::float32;
     auto plan = StorePlan::make(*model, settings.store, settings.type.value_or(by_default));
     if (!plan) return std::move(plan).error();
-    return UpliftSetup(*std::move(source), *std::move(model), *std::move(plan), settings.gamut);
+    UpliftSetup setup(*std::move(source), *std::move(model), *std::move(plan), settings.gamut);
+    if (settings.max_error) {
+        auto bounded = BoundedStore::make(setup.plan, setup.model, settings.store, *settings.max_error, settings.lights, nullptr);
+        if (!bounded) return std::move(bounded).error();
+        setup.bounded = std::make_shared<const BoundedStore>(*std::move(bounded));
+    }
+    return setup;
 }
 
 Status map_colors(std::array<float*, 3> rgb, std::size_t n, GamutPolicy policy, const Colorimetry& colorimetry,
@@ -99,8 +120,19 @@ Status UpliftSetup::convert(const RawStrip& raw, int y, std::size_t begin, std::
     const std::array<float*, 3> rgb{scratch.rgb[0].data(), scratch.rgb[1].data(), scratch.rgb[2].data()};
     const auto report = source->report();
     if (auto s = map_colors(rgb, n, gamut, model->colorimetry(), {report.path, y, begin, report.width}, counts); !s) return s;
-    plan.store({rgb[0], rgb[1], rgb[2]}, n, planes);
-    return {};
+    if (!bounded) {
+        plan.store({rgb[0], rgb[1], rgb[2]}, n, planes);
+        return {};
+    }
+    const auto failure = bounded->store({rgb[0], rgb[1], rgb[2]}, n, planes, counts.bounded);
+    if (!failure) return {};
+    const auto width = static_cast<std::size_t>(report.width), p = begin + failure->pixel;
+    return Error{ErrorKind::input,
+                 fmt::format("{}: pixel {},{} stored as {} has a CIE76 of {:.3g} in its {}: more than --max-error {:g} allows; expected a "
+                             "larger bound{}",
+                             report.path, p % width, p / width + static_cast<std::size_t>(y), pixel_type_name(plan.type()),
+                             failure->error, failure->check == 0 ? std::string("round trip") : "colour under " + bounded->check_name(failure->check), bounded->bound(),
+                             plan.type() == PixelType::half ? " or --float" : "")};
 }
 
 void UpliftSetup::reproject(std::span<const std::byte* const> planes, std::size_t n, Scratch& scratch) const {
@@ -157,6 +189,11 @@ Explanation UpliftSetup::explanation() const {
                                       : gamut == GamutPolicy::desaturate ? "towards the grey of the same luminance, counted"
                                                                          : "an error"});
     lines.insert(lines.end(), plan.explanation().begin(), plan.explanation().end());
+    if (bounded) {
+        std::erase_if(lines, [](const PlanLine& line) { return line.key == "rounding"; });
+        const auto more = bounded->explanation();
+        lines.insert(lines.end(), more.begin(), more.end());
+    }
     return lines;
 }
 
@@ -171,6 +208,7 @@ void CountTotals::add(const Counts& counts, int strip_y, int width) {
     const std::lock_guard lock(mutex_);
     nonfinite_ += counts.nonfinite;
     out_of_gamut_ += counts.out_of_gamut;
+    bounded_.add(counts.bounded);
     if (counts.first_nonfinite != std::numeric_limits<std::size_t>::max())
         first_ = std::min(first_, static_cast<std::uint64_t>(strip_y) * static_cast<std::uint64_t>(width) + counts.first_nonfinite);
 }
@@ -200,6 +238,7 @@ Layouts lay_out(const UpliftSetup& setup, const UpliftOptions& options, bool pre
     common["spectex:matrix"] = std::string("integrated");
     common["spectex:alpha"] = std::string(setup.source->alpha_associated() ? "associated" : "straight");
     common["spectex:roundtrip"] = padded("not measured");
+    if (setup.bounded) common["spectex:maxError"] = bounded_placeholder(*setup.bounded, 1 + options.settings.lights.size());
 
     ExrPart color, data;
     std::vector<std::size_t> color_planes, data_planes;
@@ -294,9 +333,9 @@ Result<UpliftReport> uplift(const std::string& input, const std::string& output,
     auto setup = UpliftSetup::make(input, options.settings, options.job);
     if (!setup) return std::move(setup).error();
     const bool spectral = options.settings.store == Store::spectral;
-    const bool linear = setup->model->info().pieces != Pieces::nonlinear;
-    // Spectra, and coefficients that no viewer can show beside a colour part, get a preview.
-    const bool preview = spectral || (options.layout == Layout::multipart && !linear) || (!spectral && !linear);
+    // Spectra, and coefficients that no viewer can show, get a preview; linear RGB, which some methods keep, is one.
+    const auto& names = setup->plan.channel_names();
+    const bool preview = spectral || std::find(names.begin(), names.end(), "R") == names.end();
     std::optional<RelightPlan> to_preview;
     if (preview) {
         auto plan = preview_plan(setup->model);
@@ -402,7 +441,26 @@ Result<UpliftReport> uplift(const std::string& input, const std::string& output,
     report.checked_all = options.check_all;
     if (auto s = (*writer)->replace_text("spectex:roundtrip", roundtrip_text(report.roundtrip, options.check_all)); !s)
         return s.error();
+    if (setup->bounded) {
+        const auto& outcome = totals.bounded();
+        BoundedReport bounded{setup->bounded->bound(), 0, outcome.kept_bits, {}};
+        std::uint64_t pixels = 0, bits = 0;
+        for (std::size_t i = 0; i < outcome.kept_bits.size(); ++i) {
+            pixels += outcome.kept_bits[i];
+            bits += i * outcome.kept_bits[i];
+        }
+        bounded.mean_bits = pixels > 0 ? static_cast<double>(bits) / static_cast<double>(pixels) : 0;
+        for (std::size_t c = 0; c < outcome.worst.size(); ++c) bounded.checks.push_back({setup->bounded->check_name(c), outcome.worst[c]});
+        std::string text = bounded_text(bounded);
+        text.resize(bounded_placeholder(*setup->bounded, bounded.checks.size()).size(), ' ');
+        if (auto s = (*writer)->replace_text("spectex:maxError", text); !s) return s.error();
+        report.bounded = std::move(bounded);
+    }
     if (auto s = (*writer)->commit(); !s) return s.error();
+    std::error_code ignored;
+    const auto bytes = std::filesystem::file_size(output, ignored);
+    report.file_bytes = ignored ? 0 : static_cast<std::uint64_t>(bytes);
+    for (const auto t : types) report.raw_bytes += pixel_bytes(t) * static_cast<std::uint64_t>(width) * static_cast<std::uint64_t>(geometry.height);
     report.output = output;
     report.model = fmt::format("{}, {}", setup->model->info().id, colorimetry.describe());
     for (const auto& part : layout.parts)

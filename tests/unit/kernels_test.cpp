@@ -14,6 +14,7 @@
 #include "kernels/convert.h"
 #include "kernels/lattice.h"
 #include "kernels/linear.h"
+#include "kernels/mantissa.h"
 #include "kernels/spectra.h"
 
 namespace {
@@ -527,6 +528,36 @@ TEST(Lattice, meets_vertices_and_reproduces_linear_functions) {
             EXPECT_NEAR(out[2][i], 1, 1e-15);
         }
     }
+}
+
+TEST(Mantissa, keeps_what_it_is_told_on_every_target) {
+    auto in = random_floats(4099, 11);
+    for (std::size_t i = 0; i < 300; ++i) in[i] = std::ldexp(in[i], -static_cast<int>(i) / 2);  // halves' and floats' subnormals too
+    const float special[] = {0.0f, -0.0f, 1.0f, 0x1.fffffep-1f, 65504.0f, 1e6f, -0.3f, inf, -inf, 0x1p-149f, 0x1.8p-3f, 0x1.4p-3f};
+    std::copy(std::begin(special), std::end(special), in.begin() + 400);
+    std::vector<float> expected(in.size()), got(in.size());
+    for (const bool half : {false, true})
+        for (int bits = 0; bits <= k::float_mantissa_bits; ++bits) {
+            k::round_mantissa_reference(in.data(), in.size(), bits, half, expected.data());
+            on_every_target([&] {
+                k::round_mantissa(in.data(), in.size(), bits, half, got.data());
+                for (std::size_t i = 0; i < in.size(); ++i)
+                    // Floats below 2^-126 keep their bits counted from their own first one in the fast way: both are within
+                    // half a step of the smallest normal number.
+                    if (std::fabs(in[i]) >= 0x1p-126f || half) {
+                        ASSERT_TRUE(same_bytes(got[i], expected[i])) << in[i] << " to " << bits << " bits";
+                    }
+            });
+            for (std::size_t i = 0; i < in.size(); ++i) {
+                if (!std::isfinite(in[i]) || std::fabs(in[i]) < 0x1p-126f || (half && std::fabs(in[i]) > 60000) || (half && std::fabs(in[i]) < 0x1p-14f)) continue;
+                // Half a step at `bits`, and with halves of at most 10 bits another half of theirs.
+                const float step = std::ldexp(std::fabs(in[i]), -bits - 1) + (half ? std::ldexp(std::fabs(in[i]), -11) : 0);
+                ASSERT_LE(std::fabs(expected[i] - in[i]), step);
+                const auto dropped = static_cast<unsigned>(k::float_mantissa_bits - (half ? std::min(bits, 10) : bits));
+                ASSERT_EQ(std::bit_cast<std::uint32_t>(expected[i]) & ((1u << dropped) - 1), 0u);
+            }
+        }
+    EXPECT_EQ(expected[402], 1.0f);
 }
 
 }  // namespace

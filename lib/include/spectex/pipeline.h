@@ -52,6 +52,22 @@ struct UpliftSettings {
     ColorimetrySpec colorimetry;
     GamutPolicy gamut = GamutPolicy::clip;
     std::optional<PixelType> type;  ///< half or float32; by default half for 8-bit and half inputs, else float32
+    /// Largest CIE76 that storage may cost any pixel, in its round trip and under each of `lights`; mantissas are rounded to
+    /// the fewest bits that keep it. Nothing: stored at the type's full precision.
+    std::optional<double> max_error;
+    std::vector<Illuminant> lights;  ///< those that the file will be lit by, for max_error
+};
+
+/// What UpliftSettings::max_error came to.
+struct BoundedReport {
+    double bound = 0;
+    double mean_bits = 0;                       ///< mantissa bits kept, over all pixels
+    std::array<std::uint64_t, 24> kept_bits{};  ///< pixels by mantissa bits kept
+    struct Check {
+        std::string name;  ///< "round trip", or a light
+        double max = 0;    ///< CIE76
+    };
+    std::vector<Check> checks;
 };
 
 enum class Layout {
@@ -75,6 +91,8 @@ struct UpliftReport {
     PixelType type = PixelType::half;
     DifferenceStatistics roundtrip;  ///< CIE76 against the linearised input
     bool checked_all = false;
+    std::uint64_t file_bytes = 0, raw_bytes = 0;  ///< of the output, and of its samples uncompressed
+    std::optional<BoundedReport> bounded;         ///< under max_error
 };
 
 /// A plan made and not run: what `--explain` prints.
