@@ -29,6 +29,7 @@ public:
     std::optional<std::string> close();
 
 private:
+    void put(const char* bytes, std::size_t size);
     void flush();
     [[noreturn]] void fail(int code);
     int fd_ = -1;
@@ -57,7 +58,8 @@ public:
     int width() const { return geometry_.width; }
 
 private:
-    explicit ExrOutput(OutputFile file) : file_(std::move(file)) {}
+    class ZipChunks;
+    explicit ExrOutput(OutputFile file);
     OutputFile file_;
     Geometry geometry_;
     std::vector<ExrPart> parts_;
@@ -65,6 +67,7 @@ private:
     std::unique_ptr<DescriptorStream> stream_;
     std::unique_ptr<Imf::MultiPartOutputFile> output_;
     std::vector<Imf::OutputPart> outputs_;
+    std::unique_ptr<ZipChunks> zip_;  // in place of the two above, for the compression that is worth it
     int next_row_ = 0;
     std::size_t header_bytes_ = 0;  // of headers and offset tables, ahead of the pixels
     std::vector<std::pair<std::string, std::string>> replacements_;  // bytes of an attribute as they stand, as they shall

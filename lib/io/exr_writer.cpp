@@ -15,10 +15,11 @@
 #include <cmath>
 #include <fstream>
 #include <limits>
+#include <map>
 #include <set>
 #include <stdexcept>
 
-#include "io/exr_stream.h"
+#include "io/exr_zip.h"
 
 namespace spectex::io {
 namespace {
@@ -118,10 +119,10 @@ void DescriptorStream::fail(int code) {
     throw std::runtime_error(error_);
 }
 
-void DescriptorStream::flush() {
+void DescriptorStream::put(const char* bytes, std::size_t size) {
     std::size_t done = 0;
-    while (done < buffer_.size()) {
-        const ssize_t n = ::write(fd_, buffer_.data() + done, buffer_.size() - done);
+    while (done < size) {
+        const ssize_t n = ::write(fd_, bytes + done, size - done);
         if (n < 0) {
             if (errno == EINTR) continue;
             fail(errno);
@@ -129,6 +130,10 @@ void DescriptorStream::flush() {
         done += static_cast<std::size_t>(n);
     }
     position_ += done;
+}
+
+void DescriptorStream::flush() {
+    put(buffer_.data(), buffer_.size());
     buffer_.clear();
 }
 
@@ -140,8 +145,7 @@ void DescriptorStream::write(const char c[], int n) {
         buffer_.insert(buffer_.end(), c, c + size);
         return;
     }
-    buffer_.assign(c, c + size);
-    flush();
+    put(c, size);
 }
 
 void DescriptorStream::seekp(std::uint64_t position) {
@@ -162,6 +166,122 @@ std::optional<std::string> DescriptorStream::close() {
     if (error_.empty()) return std::nullopt;
     return error_;
 }
+
+/// Writes the chunks of all parts by blocks of rows, and at the end the tables of their offsets.
+class ExrOutput::ZipChunks {
+public:
+    ZipChunks(DescriptorStream& stream, const Geometry& geometry, const std::vector<ExrPart>& parts, bool parallel)
+        : stream_(stream), geometry_(geometry), parallel_(parallel), channels_(parts.size()), offsets_(parts.size()) {
+        std::size_t index = 0;
+        for (std::size_t p = 0; p < parts.size(); ++p) {
+            // The file has its channels in the order of their names' bytes.
+            std::map<std::string, PackedChannel> sorted;
+            for (const ExrChannel& c : parts[p].channels) {
+                sorted[c.name] = {pixel_bytes(c.type), index++};
+                samples_.push_back(pixel_bytes(c.type));
+                row_bytes_ += samples_.back() * static_cast<std::size_t>(geometry.width);
+            }
+            for (const auto& [name, channel] : sorted) channels_[p].push_back(channel);
+        }
+        const std::size_t block = row_bytes_ * zip_rows;
+        // One row at a time would leave all but one thread idle.
+        kept_capacity_ = zip_rows * static_cast<int>(std::clamp<std::size_t>((std::size_t{4} << 20) / block, 1, 16));
+    }
+
+    void write(int rows, std::span<const SampleLayout> layouts) {
+        int at = 0;
+        while (at < rows) {
+            const int left = rows - at, to_end = geometry_.height - next_;
+            if (kept_rows_ == 0 && (left >= zip_rows || left == to_end)) {
+                const int n = left == to_end ? left : left / zip_rows * zip_rows;
+                compress(n, advanced(layouts, at));
+                at += n;
+                continue;
+            }
+            const int n = std::min({left, kept_capacity_ - kept_rows_, to_end - kept_rows_});
+            keep(n, advanced(layouts, at));
+            at += n;
+            if (kept_rows_ == kept_capacity_ || kept_rows_ == to_end) {
+                const int all = kept_rows_;
+                kept_rows_ = 0;
+                compress(all, kept_layouts());
+            }
+        }
+    }
+
+    /// @param table  where the first part's offsets lie in the file.
+    void finish(std::size_t table) {
+        stream_.seekp(table);
+        for (const auto& part : offsets_)
+            for (const std::uint64_t offset : part) stream_.write(reinterpret_cast<const char*>(&offset), sizeof offset);
+    }
+    std::size_t table_bytes() const {
+        return sizeof(std::uint64_t) * channels_.size() * static_cast<std::size_t>((geometry_.height + zip_rows - 1) / zip_rows);
+    }
+
+private:
+    static std::vector<SampleLayout> advanced(std::span<const SampleLayout> layouts, int rows) {
+        std::vector<SampleLayout> moved(layouts.begin(), layouts.end());
+        for (SampleLayout& l : moved) l.base += l.y_stride * static_cast<std::size_t>(rows);
+        return moved;
+    }
+    std::vector<SampleLayout> kept_layouts() const {
+        std::vector<SampleLayout> layouts;
+        std::size_t at = 0;
+        for (const std::size_t sample : samples_) {
+            layouts.push_back({kept_.data() + at, sample, row_bytes_});
+            at += sample * static_cast<std::size_t>(geometry_.width);
+        }
+        return layouts;
+    }
+    void keep(int rows, std::span<const SampleLayout> layouts) {
+        kept_.resize(row_bytes_ * static_cast<std::size_t>(kept_capacity_));
+        for (int row = 0; row < rows; ++row) {
+            std::byte* out = kept_.data() + row_bytes_ * static_cast<std::size_t>(kept_rows_ + row);
+            for (std::size_t c = 0; c < samples_.size(); ++c) {
+                const SampleLayout& l = layouts[c];
+                const std::byte* in = l.base + l.y_stride * static_cast<std::size_t>(row);
+                for (int x = 0; x < geometry_.width; ++x, in += l.x_stride, out += samples_[c]) std::memcpy(out, in, samples_[c]);
+            }
+        }
+        kept_rows_ += rows;
+    }
+    void compress(int rows, std::span<const SampleLayout> layouts) {
+        // What is packed at once has a memory of its own beside the caller's.
+        constexpr std::size_t budget = std::size_t{16} << 20;
+        const int step = zip_rows * static_cast<int>(std::max<std::size_t>(budget / (row_bytes_ * zip_rows), 1));
+        for (int first = 0; first < rows; first += step) {
+            std::vector<ChunkRequest> requests;
+            for (int y = first; y < std::min(first + step, rows); y += zip_rows)
+                for (const auto& channels : channels_) requests.push_back({channels, y, std::min(zip_rows, rows - y)});
+            pack_zip_chunks(requests, layouts, geometry_.width, parallel_, payloads_);
+            for (std::size_t i = 0; i < requests.size(); ++i) put(i % channels_.size(), requests[i].first_row, payloads_[i]);
+        }
+        next_ += rows;
+    }
+    void put(std::size_t part, int row, const std::vector<std::uint8_t>& payload) {
+        offsets_[part].push_back(stream_.tellp());
+        std::array<std::int32_t, 3> head{static_cast<std::int32_t>(part), geometry_.y + next_ + row,
+                                         static_cast<std::int32_t>(payload.size())};
+        const std::size_t skipped = channels_.size() > 1 ? 0 : 1;
+        stream_.write(reinterpret_cast<const char*>(head.data() + skipped), static_cast<int>(4 * (head.size() - skipped)));
+        stream_.write(reinterpret_cast<const char*>(payload.data()), static_cast<int>(payload.size()));
+    }
+
+    DescriptorStream& stream_;
+    Geometry geometry_;
+    bool parallel_;
+    std::vector<std::vector<PackedChannel>> channels_;  // [parts]
+    std::vector<std::vector<std::uint64_t>> offsets_;
+    std::vector<std::size_t> samples_;  // bytes, in the order of the layouts
+    std::size_t row_bytes_ = 0;         // over all parts
+    int next_ = 0;                      // first row that is not yet compressed
+    std::vector<std::byte> kept_;
+    int kept_rows_ = 0, kept_capacity_ = zip_rows;
+    std::vector<std::vector<std::uint8_t>> payloads_;
+};
+
+ExrOutput::ExrOutput(OutputFile file) : file_(std::move(file)) {}
 
 Result<std::unique_ptr<ExrOutput>> ExrOutput::create(const std::string& path, const Geometry& geometry,
                                                      const std::vector<ExrPart>& parts, const WriteOptions& options) {
@@ -192,6 +312,14 @@ Result<std::unique_ptr<ExrOutput>> ExrOutput::create(const std::string& path, co
         self->output_ = std::make_unique<Imf::MultiPartOutputFile>(
             *self->stream_, self->headers_.data(), static_cast<int>(self->headers_.size()), false, threads > 1 ? threads : 0);
         self->header_bytes_ = static_cast<std::size_t>(self->stream_->tellp());
+        // A chunk's size is a signed 32-bit number, of its samples too.
+        std::int64_t row_bytes = 0;
+        for (const ExrPart& part : parts)
+            for (const ExrChannel& c : part.channels) row_bytes += static_cast<std::int64_t>(pixel_bytes(c.type)) * geometry.width;
+        if (*compression == Imf::ZIP_COMPRESSION && row_bytes * zip_rows < (std::int64_t{1} << 30)) {
+            self->zip_ = std::make_unique<ZipChunks>(*self->stream_, geometry, parts, threads > 1);
+            return self;
+        }
         for (int i = 0; i < static_cast<int>(parts.size()); ++i) self->outputs_.emplace_back(*self->output_, i);
         return self;
     });
@@ -211,6 +339,16 @@ Status ExrOutput::write(int y, int rows, const std::vector<SampleLayout>& layout
             return output_error(path, fmt::format("rows {}..{} are out of order: {} is next of {}", y, y + rows - 1,
                                                   next_row_, geometry_.height));
         if (rows == 0) return {};
+        if (zip_) {
+            std::size_t i = 0;
+            for (const ExrPart& part : parts_)
+                for (const ExrChannel& c : part.channels)
+                    if (i >= layouts.size() || layouts[i++].base == nullptr)
+                        return output_error(path, fmt::format("no samples for channel '{}'", c.name));
+            zip_->write(rows, layouts);
+            next_row_ += rows;
+            return {};
+        }
         std::size_t channel = 0;
         for (std::size_t p = 0; p < parts_.size(); ++p) {
             Imf::FrameBuffer frame;
@@ -289,6 +427,7 @@ Status ExrOutput::commit() {
             return output_error(path, fmt::format("{} of {} rows were written", next_row_, geometry_.height));
         outputs_.clear();
         output_.reset();
+        if (zip_) zip_->finish(header_bytes_ - zip_->table_bytes());
         if (auto error = stream_->close()) return output_error(path, *error);
         if (!replacements_.empty())
             if (auto error = replace_bytes(file_.temporary_path(), header_bytes_, replacements_)) return output_error(path, *error);

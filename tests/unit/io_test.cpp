@@ -604,6 +604,63 @@ TEST_F(IoTest, BytesDependNeitherOnThreadsNorOnStripsNorOnTheClock) {
     }
 }
 
+// OpenEXR's own encoder writes PIZ, ours ZIP: its decoder must give the same samples of both.
+TEST_F(IoTest, OwnZipChunksHoldWhatTheLibrarysPizDoes) {
+    Geometry g = size(1501, 45);
+    g.x = -7;
+    g.y = 11;
+    // A chunk of these is longer than a segment of the encoder; noise alone is stored as it is.
+    const std::vector<ExrPart> parts{part_of("a", {"b", "a", "Z"}, PixelType::half), part_of("c", {"R", "G", "T.1nm"}, PixelType::float32),
+                                     part_of("noise", {"n"}, PixelType::half)};
+    const auto pixels = static_cast<std::size_t>(g.width) * static_cast<std::size_t>(g.height);
+    std::vector<std::vector<std::byte>> planes;
+    for (unsigned c = 0; c < 7; ++c) {
+        const PixelType type = c < 3 || c == 6 ? PixelType::half : PixelType::float32;
+        planes.push_back(noise(pixels, type, c));
+        // Runs of equal samples, so that there is something to compress.
+        const std::size_t sample = pixel_bytes(type);
+        for (std::size_t i = 0; c < 6 && i < pixels; ++i)
+            if (i % 16 != 0) std::memcpy(planes[c].data() + i * sample, planes[c].data() + (i - 1) * sample, sample);
+    }
+    std::vector<std::vector<std::byte>> files;
+    struct Way {
+        const char* compression;
+        int threads, step;
+    };
+    for (const auto& [compression, threads, step] : {Way{"zip", 1, 45}, Way{"zip", 2, 1}, Way{"zip", 2, 19}, Way{"piz", 1, 45}}) {
+        const std::string file = path("z.exr");
+        auto w = ExrWriter::create(file, g, parts, {PixelType::half, compression, threads});
+        ASSERT_TRUE(w) << w.error().message;
+        for (int y = 0; y < g.height; y += step) {
+            std::vector<const std::byte*> rows;
+            for (const auto& plane : planes)
+                rows.push_back(plane.data() + plane.size() / static_cast<std::size_t>(g.height) * static_cast<std::size_t>(y));
+            ASSERT_TRUE((*w)->write_rows(y, std::min(step, g.height - y), rows));
+        }
+        ASSERT_TRUE((*w)->commit());
+        auto in = OIIO::ImageInput::open(file);
+        ASSERT_TRUE(in) << OIIO::geterror();
+        std::size_t plane = 0;
+        for (int p = 0; p < 3; ++p) {
+            ASSERT_TRUE(in->seek_subimage(p, 0));
+            EXPECT_EQ(in->spec().x, g.x);
+            const OIIO::TypeDesc type = p == 1 ? OIIO::TypeFloat : OIIO::TypeHalf;
+            for (const ExrChannel& c : parts[static_cast<std::size_t>(p)].channels) {
+                const int at = in->spec().channelindex(c.name);
+                ASSERT_GE(at, 0) << c.name;
+                std::vector<std::byte> got(planes[plane].size());
+                ASSERT_TRUE(in->read_image(p, 0, at, at + 1, type, got.data())) << in->geterror();
+                EXPECT_TRUE(got == planes[plane]) << compression << " " << c.name;
+                ++plane;
+            }
+        }
+        if (compression == std::string_view("zip")) files.push_back(read_bytes(file));
+    }
+    EXPECT_TRUE(files[0] == files[1]);
+    EXPECT_TRUE(files[0] == files[2]);
+    EXPECT_LT(files[0].size(), pixels * 20 / 2);
+}
+
 TEST_F(IoTest, OthersReadWhatIsWritten) {
     const Geometry g = size(19, 33);
     const std::vector<std::string> names{"R", "G", "B", "T.400,000000nm", "T.500,000000nm"};
