@@ -29,6 +29,8 @@ const std::vector<Entry>& table() {
         burns2020(),
         meng2015(),
         meng2015_matched(),
+        peters2019(),
+        peters2019_fourier(),
     };
     return entries;
 }

@@ -33,6 +33,8 @@ Entry macadam1935();
 Entry burns2020();
 Entry meng2015();
 Entry meng2015_matched();
+Entry peters2019();
+Entry peters2019_fourier();
 
 /// The members that every model starts with: format, method, bands, observer, illuminant, rgb_space, matrix. An illuminant
 /// that its name does not bring back (a file, a mixture) carries its power.

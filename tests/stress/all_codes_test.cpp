@@ -212,6 +212,12 @@ TEST(AllCodes, MacadamThroughStorage) { expect_exact("macadam1935", {"36"}); }
 // Half a million colours a second: all of them take a minute and more, by spxbench speed --methods burns2020.
 TEST(AllCodes, BurnsThroughStorage) { expect_exact("burns2020", {"36"}, 15); }
 
+// As slow: some ten thousand codes a second and thread.
+TEST(AllCodes, PetersThroughStorage) {
+    expect_exact("peters2019", {"36"}, 255);
+    expect_exact("peters2019:fourier-srgb", {"36"}, 255);
+}
+
 TEST(AllCodes, MengErrsAsItDoes) {
     // As published, for equal energy; Mallett and Yuksel's supplement has a mean of 6.1.
     Worst worst;
