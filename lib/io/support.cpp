@@ -180,6 +180,12 @@ void assign_channels(ImageHeader& header) {
         header.color = {0, 0, 0};
         found = true;
     }
+    // Two channels of SGI and TGA are grey and alpha, though OpenImageIO calls them R and G.
+    if (!found && names.size() == 2 && (header.format == "sgi" || header.format == "targa") && names[0].base == "R" && names[1].base == "G") {
+        header.color = {0, 0, 0};
+        header.alpha = 1;
+        found = true;
+    }
     for (std::size_t i = 0; !found && i < names.size(); ++i) found = take(names[i].layer);
     header.others.clear();
     for (int i = 0; i < static_cast<int>(names.size()); ++i)

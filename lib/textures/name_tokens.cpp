@@ -30,7 +30,10 @@ std::vector<std::string> name_words(std::string_view name) {
         }
         if (!word.empty()) {
             const char before = name[i - 1];
-            const bool kind_changes = is_digit(c) != is_digit(before);
+            // A single letter belongs to the number before it or after it: 2k, turn100R, m1.
+            const bool lone = is_digit(c) ? word.size() == 1 && is_letter(before)
+                                          : is_digit(before) && (i + 1 >= name.size() || !is_letter(name[i + 1]));
+            const bool kind_changes = is_digit(c) != is_digit(before) && !lone;
             const bool word_begins = is_upper(c) && (is_lower(before) || (is_upper(before) && i + 1 < name.size() && is_lower(name[i + 1])));
             if (kind_changes || word_begins) finish();
         }

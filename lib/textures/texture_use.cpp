@@ -60,6 +60,7 @@ constexpr std::array words{
     Word{"height", displacement, Weight::strong}, Word{"heightmap", displacement, Weight::strong},
     Word{"hgt", displacement, Weight::strong}, Word{"bump", displacement, Weight::strong},
     Word{"bumpmap", displacement, Weight::strong}, Word{"parallax", displacement, Weight::strong},
+    Word{"elevation", displacement, Weight::strong}, Word{"elev", displacement, Weight::strong},
     Word{"depth", displacement, Weight::plain}, Word{"h", displacement, Weight::hint},
     Word{"ao", occlusion, Weight::strong}, Word{"occlusion", occlusion, Weight::strong}, Word{"occ", occlusion, Weight::plain},
     Word{"ambientocclusion", occlusion, Weight::strong}, Word{"cavity", occlusion, Weight::strong},
@@ -73,10 +74,11 @@ constexpr std::array words{
     Word{"objectid", id, Weight::strong}, Word{"id", id, Weight::plain}, Word{"segmentation", id, Weight::strong},
     Word{"cryptomatte", id, Weight::strong},
     Word{"lut", lut, Weight::strong}, Word{"clut", lut, Weight::strong}, Word{"brdflut", lut, Weight::strong},
-    Word{"orm", packed, Weight::strong}, Word{"arm", packed, Weight::plain}, Word{"mra", packed, Weight::strong},
+    Word{"orm", packed, Weight::strong}, Word{"arm", packed, Weight::hint}, Word{"mra", packed, Weight::strong},
     Word{"rma", packed, Weight::strong}, Word{"mrao", packed, Weight::strong}, Word{"rmao", packed, Weight::strong},
     Word{"aorm", packed, Weight::strong}, Word{"ormh", packed, Weight::strong}, Word{"ord", packed, Weight::plain},
     Word{"metallicroughness", packed, Weight::strong}, Word{"metalrough", packed, Weight::strong},
+    Word{"metalroughness", packed, Weight::strong}, Word{"roughnessmetal", packed, Weight::strong}, Word{"roughmetal", packed, Weight::strong},
     Word{"roughnessmetallic", packed, Weight::strong}, Word{"occlusionroughnessmetallic", packed, Weight::strong},
     Word{"maskmap", packed, Weight::strong}, Word{"specularglossiness", packed, Weight::strong},
     Word{"specular", specular, Weight::strong}, Word{"spec", specular, Weight::strong}, Word{"specularity", specular, Weight::strong},
@@ -85,7 +87,7 @@ constexpr std::array words{
     Word{"hdri", environment, Weight::strong}, Word{"envmap", environment, Weight::strong},
     Word{"irradiance", environment, Weight::strong}, Word{"radiance", environment, Weight::plain},
     Word{"lightprobe", environment, Weight::strong}, Word{"lightmap", data, Weight::strong},
-    Word{"shadowmap", data, Weight::strong}, Word{"flowmap", data, Weight::strong}, Word{"velocity", data, Weight::plain},
+    Word{"shadow", data, Weight::plain}, Word{"shadowmap", data, Weight::strong}, Word{"flowmap", data, Weight::strong}, Word{"velocity", data, Weight::plain},
     Word{"anisotropy", data, Weight::strong}, Word{"aniso", data, Weight::strong}, Word{"anisotropic", data, Weight::plain},
     Word{"ior", data, Weight::plain}, Word{"positionmap", data, Weight::strong}, Word{"uvmap", data, Weight::strong},
 };
@@ -107,14 +109,17 @@ const Word* find_word(std::string_view text) {
     return at == words.end() ? nullptr : &*at;
 }
 
-/// A word, or the long word that it ends with (`earthnormal`).
+/// A word, or the long word that it begins or ends with (`earthnormal`, `envmapblue`); short ones are parts of too many others,
+/// but for spec, which then is a mere hint.
 const Word* meaning_of(std::string_view text) {
     if (const Word* exact = find_word(text)) return exact;
     const Word* best = nullptr;
     for (const Word& w : words)
-        if (w.weight == Weight::strong && w.text.size() >= 6 && text.size() > w.text.size() && text.ends_with(w.text) &&
-            (!best || w.text.size() > best->text.size()))
+        if (w.weight == Weight::strong && w.text.size() >= 6 &&
+            (text.ends_with(w.text) || (text.starts_with(w.text) && w.text.size() >= 6)) && (!best || w.text.size() > best->text.size()))
             best = &w;
+    static constexpr Word spec{"spec", specular, Weight::hint};
+    if (!best && text.size() > 4 && text.ends_with(spec.text)) return &spec;
     return best;
 }
 
@@ -135,7 +140,7 @@ struct Telling {
 bool says_nothing(const std::string& word) {
     static constexpr std::array<std::string_view, 18> fillers{"k", "gl", "dx", "ogl", "opengl", "directx", "map", "tex", "texture",
                                                                "x", "px", "high", "low", "seamless", "tile", "var", "v", "lod"};
-    return std::all_of(word.begin(), word.end(), [](char c) { return c >= '0' && c <= '9'; }) ||
+    return std::any_of(word.begin(), word.end(), [](char c) { return c >= '0' && c <= '9'; }) ||
            std::find(fillers.begin(), fillers.end(), word) != fillers.end();
 }
 
@@ -155,9 +160,8 @@ std::vector<Telling> tellings(const std::vector<std::string>& name) {
         if (!word) continue;
         bool last = true;
         for (std::size_t k = i + used; k < name.size(); ++k) last = last && says_nothing(name[k]);
-        // The name as a whole is no suffix: a file called `metal.png` or `s.png` shows metal, or whatever. A letter that
-        // follows a digit numbers something (`turn100R`).
-        if (word->weight == Weight::hint && (!last || i == 0 || says_nothing(name[i - 1]))) continue;
+        // The name as a whole is no suffix: a file called `metal.png` or `s.png` shows metal, or whatever.
+        if (word->weight == Weight::hint && (!last || (i == 0 && word->text == name[i]))) continue;
         found.push_back({word, text, i, last});
         i += used - 1;
     }
@@ -174,7 +178,7 @@ void hear_name(std::string_view path, std::vector<Witness>& witnesses) {
         // A plain word in front of others is often an adjective or a thing: arm_pose, alpha_particle, col_de_turini.
         else if (!t.last) score *= t.word->weight == Weight::plain ? 0.4 : 0.7;
         // A plain word that is the whole name says what the picture shows: arm.png.
-        else if (t.word->weight == Weight::plain && t.position == 0) score *= 0.4;
+        else if (t.word->weight == Weight::plain && t.position == 0) score *= 0.6;
         witnesses.push_back({t.word->use, score, fmt::format("its name has \"{}\", which stands for {}", t.text,
                                                              use_sentences[index_of(t.word->use)])});
     }
@@ -215,7 +219,7 @@ void hear_header(std::string_view path, const ImageHeader& header, std::vector<W
     if (header.format == "hdr" || lowered.ends_with(".hdr") || lowered.ends_with(".rgbe"))
         witnesses.push_back({environment, 2.5, "it is a Radiance picture, as surroundings come"});
     if (grey && floating) witnesses.push_back({data, 1.6, "it is a single channel of floats"});
-    if (grey && header.type == PixelType::uint16)
+    if (grey && header.alpha < 0 && header.type == PixelType::uint16)
         witnesses.push_back({displacement, 1.4, "it is a single channel of 16 bits, as heights are stored"});
     if (floating && header.geometry.width == 2 * header.geometry.height && header.geometry.width >= 512)
         witnesses.push_back({environment, 0.6, "it is a floating-point panorama"});
@@ -258,16 +262,18 @@ void hear_pixels(const PixelStatistics& p, bool named_color, std::vector<Witness
 double contradiction(TextureUse use, double score, const PixelStatistics& p, std::string& says) {
     if (p.pixels < 16) return 0;
     if (use == normal && !looks_normal(p)) {
-        // Normals in object space point anywhere. Dark pictures decode to unit vectors too, but all into one octant.
-        const bool anywhere = p.unit_length >= 0.5 && *std::min_element(p.mean.begin(), p.mean.end()) >= 0.25;
-        if (anywhere && score > hint_score) return 0;
+        // Filtering shortens normals, and those in object space point anywhere: both average as normals do.
+        const auto near = [&](std::size_t k, double value, double by) { return std::abs(p.mean[k] - value) <= by; };
+        const bool short_ones = near(0, 0.5, 0.1) && near(1, 0.5, 0.1) && p.mean[2] >= 0.7;
+        const bool anywhere = p.unit_length >= 0.5 && near(0, 0.5, 0.2) && near(1, 0.5, 0.2) && near(2, 0.5, 0.2);
+        if ((short_ones || anywhere) && score > hint_score) return 0;
         says = "its pixels are no unit vectors";
         return 2.4;
     }
     if (is_scalar(use) && p.channels == 3 && p.grey < 0.7) {
         says = fmt::format("{:.0f}% of its pixels are coloured", 100 * (1 - p.grey));
         // Coloured specular maps are reflectances at normal incidence; masks may keep one weight in each channel.
-        return use == mask ? 0.9 : use == specular ? 2.6 : 1.8;
+        return use == mask ? 1.2 : use == specular ? 2.6 : 1.8;
     }
     return 0;
 }

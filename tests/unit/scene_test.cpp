@@ -68,7 +68,8 @@ Texture "rough" "float" "imagemap" "string filename" "tex/rough.png" "string enc
 Texture "dots" "spectrum" "checkerboard" "texture tex1" "a" "texture tex2" "b"
 Texture "a" "spectrum" "imagemap" "string filename" "tex/a.png"
 Texture "b" "spectrum" "imagemap" "string filename" "tex/b.png"
-Texture "mixed" "spectrum" "mix" "texture tex1" "a" "rgb tex2" [1 0 0] "texture amount" "weight"
+Texture "mixed" "spectrum" "mix" "texture tex1" "a" "rgb tex2" [1 0 0] "texture amount" "share"
+Texture "share" "float" "imagemap" "string filename" "tex/share.png"
 Texture "weight" "float" "imagemap" "string filename" "tex/weight.png"
 Texture "idle" "spectrum" "imagemap" "string filename" "tex/idle.png"
 Texture "both" "spectrum" "imagemap" "string filename" "tex/both.png"
@@ -94,6 +95,7 @@ TEST_F(SceneTest, PbrtFollowsTexturesToTheirMaterials) {
     EXPECT_EQ(uses(*scene, "tex/a.png"), Uses{reflectance});
     EXPECT_EQ(uses(*scene, "tex/b.png"), Uses{reflectance});
     EXPECT_EQ(uses(*scene, "tex/weight.png"), Uses{data});
+    EXPECT_EQ(uses(*scene, "tex/share.png"), Uses{data});
     EXPECT_EQ(uses(*scene, "tex/idle.png"), Uses{unused});
     EXPECT_EQ(uses(*scene, "tex/both.png"), (Uses{reflectance, data}));
     EXPECT_EQ(uses(*scene, "tex/inc.png"), Uses{reflectance});
@@ -250,10 +252,11 @@ constexpr const char* materialx_scene = R"(<?xml version="1.0"?>
     <image name="tint" type="color3"><input name="file" type="filename" value="t.png"/></image>
     <image name="rough" type="float"><input name="file" type="filename" value="r.png"/></image>
     <tiledimage name="nrm" type="vector3"><input name="file" type="filename" value="n.png"/></tiledimage>
-    <image name="amount" type="float"><input name="file" type="filename" value="m.png"/></image>
     <image name="idle" type="color3"><input name="file" type="filename" value="idle.png"/></image>
     <mix name="mixed" type="color3"><input name="fg" type="color3" nodename="col"/><input name="bg" type="color3" nodename="tint"/>
-      <input name="mix" type="float" nodename="amount"/></mix>
+      <input name="mix" type="float" nodename="one"/></mix>
+    <image name="packed" type="color3"><input name="file" type="filename" value="p.png"/></image>
+    <extract name="one" type="float"><input name="in" type="color3" nodename="packed"/></extract>
     <normalmap name="bent" type="vector3"><input name="in" type="vector3" nodename="nrm"/></normalmap>
     <output name="base" type="color3" nodename="mixed"/>
     <output name="r" type="float" nodename="rough"/>
@@ -276,7 +279,7 @@ TEST_F(SceneTest, MaterialXFollowsGraphsAndMarksLinearColour) {
     EXPECT_EQ(uses(*scene, "maps/t.png"), Uses{reflectance});
     EXPECT_EQ(uses(*scene, "maps/r.png"), Uses{data});
     EXPECT_EQ(uses(*scene, "maps/n.png"), Uses{data});
-    EXPECT_EQ(uses(*scene, "maps/m.png"), Uses{data});
+    EXPECT_EQ(uses(*scene, "maps/p.png"), Uses{data});
     EXPECT_EQ(uses(*scene, "maps/g.png"), Uses{emission});
     EXPECT_EQ(uses(*scene, "maps/idle.png"), Uses{unused});
     const auto done = rewrite_scene(*scene, path("out.mtlx"), {{path("maps/c.png"), path("maps/c.exr")}, {path("maps/t.png"), path("t.exr")}});
