@@ -9,7 +9,8 @@ void add_uplift_options(App& app, UpliftOptionSet& options) {
     app.number("--max-error", "DE", &options.max_error, 1e-4, 100, "CIE76",
                "round mantissas, of each pixel as far as its stored colour stays within this of the exact one: smaller files");
     app.add({.names = "--for", .metavar = "ILLUMINANT[,ILLUMINANT...]",
-             .text = "lights that the file is meant for: --max-error holds under each",
+             .text = "lights that the file is meant for: --max-error holds under each, and --bands auto stores the fewest bands "
+                     "that show this texture under them (within 0.5 where no --max-error is given)",
              .set = [&options](std::string_view value) -> Status {
                  auto items = parse_list(value);
                  if (!items) return items.error();
@@ -35,8 +36,9 @@ Result<UpliftSettings> UpliftOptionSet::settings(const App& app) const {
         if (!light) return std::move(light).error();
         s.lights.push_back(*std::move(light));
     }
-    if (!lights.empty() && !max_error)
-        return Error{ErrorKind::usage, "--for names lights for a bound: expected --max-error DE as well"};
+    s.choose_bands = !lights.empty() && s.store == Store::spectral && app.given("--bands") && colorimetry.bands == "auto";
+    if (!lights.empty() && !max_error && !s.choose_bands)
+        return Error{ErrorKind::usage, "--for names lights for a bound: expected --max-error DE, or --store spectral --bands auto"};
     // A coefficient texture stores no bands: its model is solved on the finer grid of the library unless asked otherwise.
     if (s.store == Store::spectral || app.given("--bands")) {
         auto bands = colorimetry.band_set();

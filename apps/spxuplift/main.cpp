@@ -75,6 +75,7 @@ int main(int argc, char** argv) {
             json["channels"] = report->channels;
             json["roundtrip"] = to_json(report->roundtrip, Metric::cie76);
             json["roundtrip"]["checked"] = report->checked_all ? "all" : "every 16th row";
+            if (!report->bands_nm.empty()) json["bands_nm"] = report->bands_nm;
             json["file_bytes"] = report->file_bytes;
             json["raw_bytes"] = report->raw_bytes;
             json["ratio"] = ratio;

@@ -61,6 +61,7 @@ struct UpliftSetup {
     StorePlan plan;
     GamutPolicy gamut;
     std::shared_ptr<const BoundedStore> bounded;  ///< in place of plan.store, under max_error
+    Explanation chosen;                           ///< the bands that were chosen for this texture
 
     /// Pixels [begin, begin + n) of the strip at row y to stored samples; leaves the linearised input and the mapped colours in scratch.
     Status convert(const RawStrip& raw, int y, std::size_t begin, std::size_t n, Scratch& scratch, std::span<std::byte* const> planes,

@@ -1,13 +1,17 @@
 #include <fmt/format.h>
+#include <fmt/ranges.h>
+#include <xxhash.h>
 
 #include <algorithm>
 #include <filesystem>
 #include <limits>
+#include <map>
 
 #include "kernels/convert.h"
 #include "pipeline/roundtrip.h"
 #include "pipeline/source.h"
 #include "pipeline/strips.h"
+#include "plan/choose_bands.h"
 
 namespace spectex {
 namespace {
@@ -53,6 +57,49 @@ Result<RelightPlan> preview_plan(const std::shared_ptr<const Model>& model) {
     return RelightPlan::for_model(model, request);
 }
 
+/// A bound for --bands auto --for where none is named: a quarter of what is seen side by side.
+constexpr double default_band_bound = 0.5;
+/// What half precision may take of a bound; the bands have the rest.
+constexpr double half_share = 0.25;
+/// Colours by which bands are chosen; a texture of fewer is covered whole.
+constexpr std::size_t most_sampled_colors = 16384;
+
+/// The texture's colours whose hashes are smallest: all of them, or an even sample, whatever their order.
+Result<std::vector<float>> sample_colors(StripSource& source, const Colorimetry& colorimetry, GamutPolicy gamut) {
+    std::map<std::uint64_t, std::array<float, 3>> kept;
+    const int width = source.geometry().width, height = source.geometry().height;
+    const int rows = rows_per_strip(source.preferred_rows(), source.raw_bytes_per_row() + static_cast<std::size_t>(width) * 24, height);
+    RawStrip raw;
+    std::vector<std::vector<float>> scratch;
+    std::vector<const float*> planes;
+    std::array<std::vector<float>, 3> rgb;
+    const GamutPolicy mapped = gamut == GamutPolicy::error ? GamutPolicy::clip : gamut;
+    for (int y = 0; y < height; y += rows) {
+        const int count = std::min(rows, height - y);
+        if (auto s = source.read(y, count, raw); !s) return s.error();
+        const std::size_t n = static_cast<std::size_t>(count) * static_cast<std::size_t>(width);
+        source.decode(raw, 0, n, scratch, planes);
+        for (std::size_t c = 0; c < 3; ++c) rgb[c].assign(planes[c], planes[c] + n);
+        Counts counts;
+        const std::string path;
+        if (auto s = map_colors({rgb[0].data(), rgb[1].data(), rgb[2].data()}, n, mapped, colorimetry, {path, y, 0, width}, counts); !s)
+            return s.error();
+        for (std::size_t p = 0; p < n; ++p) {
+            const std::array<float, 3> color{rgb[0][p], rgb[1][p], rgb[2][p]};
+            const std::uint64_t hash = XXH3_64bits(color.data(), sizeof color);
+            if (kept.size() == most_sampled_colors) {
+                if (hash >= kept.rbegin()->first) continue;
+                if (kept.emplace(hash, color).second) kept.erase(std::prev(kept.end()));
+            } else {
+                kept.emplace(hash, color);
+            }
+        }
+    }
+    std::vector<float> colors;
+    for (const auto& [hash, color] : kept) colors.insert(colors.end(), color.begin(), color.end());
+    return colors;
+}
+
 struct Layouts {
     std::vector<ExrPart> parts;
     std::vector<std::size_t> order;  ///< for each plane handed to the writer, its index in the strip's planes
@@ -70,18 +117,43 @@ Result<UpliftSetup> UpliftSetup::make(const std::string& input, const UpliftSett
                                                    *kind == FileKind::spectral ? "spectra" : "coefficients")};
     auto colorimetry = Colorimetry::make(settings.colorimetry, settings.bands);
     if (!colorimetry) return std::move(colorimetry).error();
-    auto model = make_model(settings.method, *colorimetry);
-    if (!model) return std::move(model).error();
     auto source = open_image_source(input, colorimetry->rgb_space(), job);
     if (!source) return std::move(source).error();
     const PixelType by_default = (*source)->type() == PixelType::uint8 || (*source)->type() == PixelType::half
                                      ? PixelType::half
                                      : PixelType::float32;
-    auto plan = StorePlan::make(*model, settings.store, settings.type.value_or(by_default));
+    const PixelType type = settings.type.value_or(by_default);
+    std::optional<BandChoice> choice;
+    const double bound = settings.max_error.value_or(default_band_bound);
+    if (settings.choose_bands && settings.store == Store::spectral) {
+        if (settings.lights.empty())
+            return Error{ErrorKind::usage, "bands are chosen for lights: expected at least one"};
+        const auto colors = sample_colors(**source, *colorimetry, settings.gamut);
+        if (!colors) return colors.error();
+        auto chosen = choose_bands(settings.method, settings.colorimetry, settings.lights,
+                                   type == PixelType::half ? bound * (1 - half_share) : bound * 0.999, *colors, settings.least_bands);
+        if (!chosen) return Error{chosen.error().kind, fmt::format("{}: {}", input, chosen.error().message)};
+        choice = *std::move(chosen);
+        source = open_image_source(input, colorimetry->rgb_space(), job);
+        if (!source) return std::move(source).error();
+    }
+    auto model = choice ? Result<std::shared_ptr<const Model>>(choice->model) : make_model(settings.method, *colorimetry);
+    if (!model) return std::move(model).error();
+    auto plan = StorePlan::make(*model, settings.store, type);
     if (!plan) return std::move(plan).error();
     UpliftSetup setup(*std::move(source), *std::move(model), *std::move(plan), settings.gamut);
-    if (settings.max_error) {
-        auto bounded = BoundedStore::make(setup.plan, setup.model, settings.store, *settings.max_error, settings.lights, nullptr);
+    if (choice) {
+        const auto& nm = setup.model->colorimetry().bands().wavelengths_nm();
+        setup.chosen.push_back({"bands", fmt::format("{} chosen for this texture's colours and lights: {} nm; largest CIE76 {:.3g} over {} "
+                                                     "colours, against 380:780:5",
+                                                     nm.size(), fmt::join(nm, ", "), choice->error, choice->colors)});
+        const double of = static_cast<double>(choice->reference->colorimetry().bands().size());
+        setup.chosen.push_back({"skipped", fmt::format("{} of {} bands: {:.0f}% of what they would take", of - static_cast<double>(nm.size()), of,
+                                                       100 * (1 - static_cast<double>(nm.size()) / of))});
+    }
+    if (settings.max_error || choice) {
+        auto bounded = BoundedStore::make(setup.plan, setup.model, settings.store, bound, settings.lights,
+                                          choice ? choice->reference : nullptr, !settings.max_error);
         if (!bounded) return std::move(bounded).error();
         setup.bounded = std::make_shared<const BoundedStore>(*std::move(bounded));
     }
@@ -188,6 +260,7 @@ Explanation UpliftSetup::explanation() const {
     lines.push_back({"outside [0,1]", gamut == GamutPolicy::clip         ? "each component clipped, counted"
                                       : gamut == GamutPolicy::desaturate ? "towards the grey of the same luminance, counted"
                                                                          : "an error"});
+    lines.insert(lines.end(), chosen.begin(), chosen.end());
     lines.insert(lines.end(), plan.explanation().begin(), plan.explanation().end());
     if (bounded) {
         std::erase_if(lines, [](const PlanLine& line) { return line.key == "rounding"; });
@@ -462,6 +535,7 @@ Result<UpliftReport> uplift(const std::string& input, const std::string& output,
     report.file_bytes = ignored ? 0 : static_cast<std::uint64_t>(bytes);
     for (const auto t : types) report.raw_bytes += pixel_bytes(t) * static_cast<std::uint64_t>(width) * static_cast<std::uint64_t>(geometry.height);
     report.output = output;
+    if (spectral) report.bands_nm = colorimetry.bands().wavelengths_nm();
     report.model = fmt::format("{}, {}", setup->model->info().id, colorimetry.describe());
     for (const auto& part : layout.parts)
         for (const auto& channel : part.channels) report.channels.push_back(channel.name);

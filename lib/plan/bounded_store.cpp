@@ -26,7 +26,8 @@ std::array<const float*, 3> constant(const std::array<float*, 3>& p) { return {p
 }  // namespace
 
 Result<BoundedStore> BoundedStore::make(StorePlan plan, std::shared_ptr<const Model> model, Store store, double bound,
-                                        const std::vector<Illuminant>& lights, std::shared_ptr<const Model> reference) {
+                                        const std::vector<Illuminant>& lights, std::shared_ptr<const Model> reference,
+                                        bool full) {
     if (!(bound > 0) || !std::isfinite(bound))
         return Error{ErrorKind::usage, fmt::format("a largest error of {}: expected a CIE76 above 0", bound)};
     auto exact = StorePlan::make(model, store, PixelType::float32);
@@ -65,6 +66,7 @@ Result<BoundedStore> BoundedStore::make(StorePlan plan, std::shared_ptr<const Mo
     result.bound_ = bound;
     result.inner_ = bound - std::min(check_room, bound / 10);
     result.lights_ = lights;
+    result.full_ = full;
     return result;
 }
 
@@ -92,7 +94,7 @@ std::optional<BoundedStore::Failure> BoundedStore::store(std::array<const float*
     const std::size_t stored = planes.size(), checks = kernels_.size(), images = lights_.size();
     const bool half = plan_.type() == PixelType::half;
     const int most = half ? kernels::half_mantissa_bits : kernels::float_mantissa_bits;
-    const int least = images > 0 || store_ == Store::coefficients ? 0 : least_bits_without_lights;
+    const int least = full_ ? most : images > 0 || store_ == Store::coefficients ? 0 : least_bits_without_lights;
     const std::size_t size = pixel_bytes(plan_.type());
     Workspace w(stored, checks);
     outcome.worst.resize(std::max(outcome.worst.size(), checks), 0);
@@ -236,6 +238,7 @@ Explanation BoundedStore::explanation() const {
     Explanation lines;
     lines.push_back({"bound", fmt::format("CIE76 {:g} of every pixel's round trip{}", bound_,
                                           names.empty() ? std::string() : fmt::format(" and of its colour under {}", names))});
+    if (full_) return lines;
     lines.push_back({"rounding", lights_.empty() && store_ == Store::spectral
                                      ? fmt::format("mantissas of each pixel to the fewest bits, at least {}, that keep the bound: "
                                                    "lights not named by --for are not bounded",

@@ -30,8 +30,9 @@ public:
 
     /// @param plan       how the final samples are stored. @param bound  CIE76, above 0.
     /// @param reference  null, or a model of finer bands whose relit colours are the reference.
+    /// @param full       keep the type's full precision: only hold each pixel to the bound.
     static Result<BoundedStore> make(StorePlan plan, std::shared_ptr<const Model> model, Store store, double bound,
-                                     const std::vector<Illuminant>& lights, std::shared_ptr<const Model> reference);
+                                     const std::vector<Illuminant>& lights, std::shared_ptr<const Model> reference, bool full = false);
 
     struct Outcome {
         std::array<std::uint64_t, 24> kept_bits{};  ///< pixels by mantissa bits kept
@@ -60,6 +61,7 @@ private:
     std::shared_ptr<const Model> model_, reference_;
     Store store_ = Store::coefficients;
     double bound_ = 0, inner_ = 0;
+    bool full_ = false;
     std::vector<Illuminant> lights_;
     std::optional<RelightPlan> relit_, relit_reference_;
     std::vector<DifferenceKernel> kernels_;

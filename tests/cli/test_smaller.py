@@ -14,6 +14,12 @@ def linear(path):
     return oracle.srgb_decode(read_image(path, "uint8")[0][:, :, :3] / 255)
 
 
+def part_of(name, folder):
+    """The middle of a photograph: these tests integrate every pixel once more."""
+    pixels = read_image(picture(name), "uint8")[0]
+    return write_image(folder / "part.png", np.ascontiguousarray(pixels[60:220, 120:340, :3]))
+
+
 def lab_under(spectra, bands, light):
     w = oracle.weights(bands, oracle.illuminant(light))
     return oracle.lab(spectra @ w.T, w.sum(axis=1))
@@ -21,7 +27,7 @@ def lab_under(spectra, bands, light):
 
 @pytest.mark.parametrize("name,kind", [("coffee.png", "--half"), ("chelsea.png", "--float")])
 def test_no_pixel_exceeds_the_bound(name, kind, run, tmp_path):
-    source, plain, out = picture(name), tmp_path / "plain.exr", tmp_path / "small.exr"
+    source, plain, out = part_of(name, tmp_path), tmp_path / "plain.exr", tmp_path / "small.exr"
     spectral = ["--store", "spectral", "--bands", 36]
     run("spxuplift", source, "-o", plain, *spectral, "--float", check=0)
     bands, exact = spectral_planes(plain)
@@ -79,3 +85,44 @@ def test_a_bound_that_half_cannot_keep_is_refused(png, run, tmp_path):
     run("spxuplift", png, "-o", out, "--for", "A", check=64)
     run("spxuplift", png, "-o", out, "--max-error", 0, check=64)
     run("spxuplift", png, "-o", out, "--max-error", 1, "--for", "D:99", check=64)
+
+
+def test_few_bands_show_the_texture_right(run, tmp_path):
+    """Against the same method on 5 nm, each file lit by its own weights into linear BT.709, as a reader does it."""
+    source, fine, out = part_of("chelsea.png", tmp_path), tmp_path / "fine.exr", tmp_path / "few.exr"
+    lights = ["D65", "A", "FL11"]
+    run("spxuplift", source, "-o", fine, "--store", "spectral", "--bands", "380:780:5", "--float", check=0)
+    report = run("spxuplift", source, "-o", out, "--store", "spectral", "--bands", "auto", "--for", ",".join(lights), "--max-error", 0.5,
+                 "--explain", "--json", "-", check=0)
+    assert "chosen for this texture's colours and lights" in report.stderr
+    report = report.json()
+    fine_bands, expected = spectral_planes(fine)
+    bands, spectra = spectral_planes(out)
+    assert report["bands_nm"] == bands.tolist()
+    assert len(bands) <= 9  # three sums under each of three lights: with so many bands of one's own choice all could be exact
+    assert spectra.min() >= 0 and spectra.max() <= 1
+    worst = {check["name"]: check["max"] for check in report["max_error"]["checks"]}
+    for light in lights:
+        white = oracle.weights(fine_bands, oracle.illuminant(light)).sum(axis=1)
+        to_xyz = oracle.bt709_matrix(fine_bands)
+        a, b = (oracle.lab(s @ oracle.relight_matrix(nm, light).T @ to_xyz.T, white) for s, nm in ((expected, fine_bands), (spectra, bands)))
+        error = oracle.cie76(a, b)
+        assert error.max() <= 0.5
+        assert worst[light] == pytest.approx(error.max(), abs=2e-4)  # checks in float
+    trip = oracle.cie76(oracle.rgb_to_lab(spectra @ oracle.relight_matrix(bands, "D65").T), oracle.rgb_to_lab(linear(source)))
+    assert trip.max() <= 0.5 * 1.01  # Lab here by the matrix of 1 nm instead of the file's own
+    # Even bands of the same number are what the choice must beat.
+    even = tmp_path / "even.exr"
+    run("spxuplift", source, "-o", even, "--store", "spectral", "--bands", len(bands), "--float", check=0)
+    even_bands, even_spectra = spectral_planes(even)
+    a, b = (oracle.lab(s @ oracle.relight_matrix(nm, "FL11").T @ to_xyz.T, white) for s, nm in ((expected, fine_bands), (even_spectra, even_bands)))
+    assert oracle.cie76(a, b).max() > 1
+
+
+def test_bands_for_other_methods_and_impossible_bounds(run, tmp_path):
+    source, out = tmp_path / "patches.png", tmp_path / "few.exr"
+    write_image(source, np.random.default_rng(5).integers(0, 256, (4, 6, 3), dtype=np.uint8))
+    report = run("spxuplift", source, "-o", out, "--method", "mallett2019", "--store", "spectral", "--bands", "auto", "--for", "A", "--float",
+                 "--json", "-", check=0).json()
+    assert max(check["max"] for check in report["max_error"]["checks"]) <= 0.5
+    assert len(report["bands_nm"]) == report["channels"].__len__() - 3 < 41

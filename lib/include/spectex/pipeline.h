@@ -55,7 +55,11 @@ struct UpliftSettings {
     /// Largest CIE76 that storage may cost any pixel, in its round trip and under each of `lights`; mantissas are rounded to
     /// the fewest bits that keep it. Nothing: stored at the type's full precision.
     std::optional<double> max_error;
-    std::vector<Illuminant> lights;  ///< those that the file will be lit by, for max_error
+    std::vector<Illuminant> lights;  ///< those that the file will be lit by, for max_error and choose_bands
+    /// For stored spectra, in place of `bands`: the fewest that show this texture under `lights` as 380:780:5 would, within
+    /// max_error (0.5 where that is not given); then verified on every pixel.
+    bool choose_bands = false;
+    std::size_t least_bands = 0;     ///< where choose_bands begins
 };
 
 /// What UpliftSettings::max_error came to.
@@ -92,7 +96,8 @@ struct UpliftReport {
     DifferenceStatistics roundtrip;  ///< CIE76 against the linearised input
     bool checked_all = false;
     std::uint64_t file_bytes = 0, raw_bytes = 0;  ///< of the output, and of its samples uncompressed
-    std::optional<BoundedReport> bounded;         ///< under max_error
+    std::optional<BoundedReport> bounded;         ///< under max_error or choose_bands
+    std::vector<double> bands_nm;                 ///< of stored spectra
 };
 
 /// A plan made and not run: what `--explain` prints.
