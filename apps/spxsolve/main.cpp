@@ -146,7 +146,7 @@ int lattice(app::App& tool, const Request& request) {
     tool.explain("spxsolve lattice",
                  std::vector<std::pair<std::string, std::string>>{
                      {"colorimetry", c->describe()},
-                     {"samples", names},
+                     {"samples", fmt::format("{}; smoothed, {:g} times squared second differences", names, options.denoising)},
                      {"vertices", fmt::format("{}^3, uniform in linear RGB", options.n)},
                      {"objective", fmt::format("distance from the samples near the vertex's colour, under their covariance plus "
                                                "{:g}, and {:g} times squared first differences",

@@ -21,7 +21,7 @@ namespace {
 
 constexpr std::string_view shipped_lut = "models/lattice9_cie1931_d65_bt709_380-780-5.bin";
 /// Changes whenever the same samples would give other spectra.
-constexpr std::string_view recipe = "spectex lattice 1";
+constexpr std::string_view recipe = "spectex lattice 2";
 /// Above this many bands the vertices are solved at 5 nm and transferred: the work grows with the cube of the bands, and
 /// measured reflectances hold nothing finer.
 constexpr std::size_t most_solved_bands = 120;

@@ -35,6 +35,22 @@ std::vector<double> band_widths(const BandSet& bands) {
     return out;
 }
 
+/// x as a linear function of s: sum_l w_l (x_l - s_l)^2 + weight * 5 nm^4 * sum_l w_l x''_l^2 is least, w the bands' widths and x''
+/// the second divided difference (Whittaker 1923, doi:10.1017/S0013091500077853). Straight lines stay as they are.
+Eigen::LDLT<Eigen::MatrixXd> whittaker(const BandSet& bands, const Eigen::VectorXd& widths, double weight) {
+    const auto n = static_cast<Eigen::Index>(bands.size());
+    Eigen::MatrixXd system = Eigen::MatrixXd(widths.asDiagonal());
+    const double unit = std::pow(reference_step_nm, 4);
+    for (Eigen::Index l = 1; l + 1 < n; ++l) {
+        const auto i = static_cast<std::size_t>(l);
+        const double below = bands[i] - bands[i - 1], above = bands[i + 1] - bands[i];
+        Eigen::Vector3d second(1 / below, -1 / below - 1 / above, 1 / above);
+        second *= 2 / (below + above);
+        system.block<3, 3>(l - 1, l - 1) += weight * unit * widths[l] * second * second.transpose();
+    }
+    return system.ldlt();
+}
+
 double lab_f(double t) {
     constexpr double d = 6.0 / 29.0;
     return t > d * d * d ? std::cbrt(t) : t / (3 * d * d) + 4.0 / 29.0;
@@ -236,7 +252,8 @@ Result<LatticeSolver> LatticeSolver::make(const Colorimetry& colorimetry, std::s
                                           const LatticeOptions& options) {
     const auto positive = [](double v) { return std::isfinite(v) && v > 0; };
     if (options.n < 2 || options.n > 65 || !positive(options.reach) || !positive(options.lightness) || !positive(options.decay) ||
-        !positive(options.ridge) || !(options.smoothness >= 0 && std::isfinite(options.smoothness)))
+        !positive(options.ridge) || !(options.smoothness >= 0 && std::isfinite(options.smoothness)) ||
+        !(options.denoising >= 0 && std::isfinite(options.denoising)))
         return Error{ErrorKind::usage, "lattice: expected 2..65 vertices per axis and positive parameters"};
     LatticeSolver s(colorimetry);
     s.options_ = options;
@@ -265,6 +282,11 @@ Result<LatticeSolver> LatticeSolver::make(const Colorimetry& colorimetry, std::s
         s.samples_.col(i) = Eigen::Map<const Eigen::VectorXd>(r.data(), rows);
         s.features_.col(i) = s.feature(colorimetry.rgb_of(r));
     }
+    const auto widths = band_widths(bands);
+    const Eigen::VectorXd width = Eigen::Map<const Eigen::VectorXd>(widths.data(), rows);
+    // Colours stay those of the measurements.
+    if (options.denoising > 0)
+        s.samples_ = whittaker(bands, width, options.denoising).solve(width.asDiagonal() * s.samples_).cwiseMax(0).cwiseMin(1).eval();
     s.smoothness_ = Eigen::MatrixXd::Zero(rows, rows);
     for (Eigen::Index l = 0; l + 1 < rows; ++l) {
         const auto i = static_cast<std::size_t>(l);
@@ -275,7 +297,6 @@ Result<LatticeSolver> LatticeSolver::make(const Colorimetry& colorimetry, std::s
         s.smoothness_(l + 1, l) -= weight;
     }
     s.ridge_.resize(rows);
-    const auto widths = band_widths(bands);
     for (Eigen::Index l = 0; l < rows; ++l) s.ridge_[l] = options.ridge * reference_step_nm / widths[static_cast<std::size_t>(l)];
     return s;
 }

@@ -69,8 +69,9 @@ struct LatticeOptions {
     double reach = 0.15;       ///< colour distance, in hundreds of Lab, at which a sample's weight begins to fall
     double lightness = 0.5;    ///< weight of L* beside a* and b* in that distance
     double decay = 4;          ///< exponent of the fall
-    double ridge = 1e-4;       ///< variance of what the samples do not explain, per band of 5 nm
+    double ridge = 3e-4;       ///< variance of what the samples do not explain, per band of 5 nm
     double smoothness = 200;   ///< weight of squared first differences between bands 5 nm apart
+    double denoising = 10;     ///< weight of squared second differences of 5 nm bands in smoothing the samples; 0: as measured
     bool operator==(const LatticeOptions&) const = default;
 };
 
@@ -80,8 +81,9 @@ struct LatticeOptions {
 ///
 /// with m and C the mean and covariance of the samples, each sample weighted by (1 + d^2 / reach^2)^-decay / (size of its set),
 /// d the distance from the vertex in (lightness L*, a*, b*) / 100 under the colorimetry's own white. Samples are held at their
-/// ends; those outside the cube are left out. Ridge and smoothness follow the spacing of the bands, so that both keep their
-/// limit on fine grids. Black is 0 and white is 1. Interior point per vertex, then the exact metamer nearest to its result:
+/// ends; those outside the cube are left out. What the instruments added is taken off first, by Whittaker's smoothing (1923,
+/// doi:10.1017/S0013091500077853): far from all samples the covariance would stretch their noise into steps. Ridge, smoothness
+/// and denoising follow the spacing of the bands, so that all keep their limit on fine grids. Black is 0 and white is 1. Interior point per vertex, then the exact metamer nearest to its result:
 /// |A r - rgb| <= 1e-12, bounds exact. Deterministic for any number of threads.
 /// @error usage, for options out of range; infeasible, naming a vertex that has no reflectance in [0,1] and its least
 /// violation; input, when no samples lie inside the cube or the numerics fail.
