@@ -76,13 +76,20 @@ struct Progress::State {
 Progress::Progress(std::string_view label, bool enabled) {
     if (!enabled) return;
     state_ = std::make_unique<State>();
-    state_->label = escape(label);
-    if (columns(state_->label) > 30) {
+    this->label(label);
+}
+
+void Progress::label(std::string_view label) const {
+    if (!state_) return;
+    std::string text = escape(label);
+    if (columns(text) > 30) {
         // Cut at the front, where long paths agree, and only before a code point.
-        std::size_t at = state_->label.size() - 29;
-        while (at < state_->label.size() && (static_cast<unsigned char>(state_->label[at]) & 0xC0) == 0x80) ++at;
-        state_->label = "…" + state_->label.substr(at);
+        std::size_t at = text.size() - 29;
+        while (at < text.size() && (static_cast<unsigned char>(text[at]) & 0xC0) == 0x80) ++at;
+        text = "…" + text.substr(at);
     }
+    const std::lock_guard lock(state_->mutex);
+    state_->label = std::move(text);
 }
 
 Progress::~Progress() {

@@ -21,6 +21,8 @@ public:
     Progress(Progress&&) noexcept;
     Progress& operator=(Progress&&) = delete;
     void operator()(std::uint64_t done, std::uint64_t total) const;
+    /// Another label from here on. Any thread may call it.
+    void label(std::string_view text) const;
     /// Valid while this object lives.
     ProgressFunction function() const;
 

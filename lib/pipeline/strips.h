@@ -72,8 +72,7 @@ Status run_strips(const JobOptions& job, int width, int height, int rows, const 
         std::vector<std::unique_ptr<Strip>> pool;
         std::size_t next = 0;
         int y = 0;
-        tbb::task_arena arena(threads);
-        arena.execute([&] {
+        const auto run = [&] {
             tbb::parallel_pipeline(
                 strips_in_flight,
                 tbb::make_filter<void, Strip*>(tbb::filter_mode::serial_in_order,
@@ -106,7 +105,12 @@ Status run_strips(const JobOptions& job, int width, int height, int rows, const 
                             job.progress(static_cast<std::uint64_t>(strip->y + strip->rows) * static_cast<std::uint64_t>(width),
                                          static_cast<std::uint64_t>(height) * static_cast<std::uint64_t>(width));
                     }));
-        });
+        };
+        // A thread that waits for this job's strips must not begin another file in the meantime.
+        if (job.in_callers_arena)
+            tbb::this_task_arena::isolate(run);
+        else
+            tbb::task_arena(threads).execute(run);
     } catch (const std::bad_alloc&) {
         return Error{ErrorKind::input, "not enough memory for one strip of rows"};
     } catch (const std::exception& e) {

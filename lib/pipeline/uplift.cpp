@@ -115,33 +115,30 @@ Result<UpliftSetup> UpliftSetup::make(const std::string& input, const UpliftSett
     if (*kind != FileKind::image)
         return Error{ErrorKind::input, fmt::format("{}: holds {} already: expected an RGB texture", input,
                                                    *kind == FileKind::spectral ? "spectra" : "coefficients")};
-    auto colorimetry = Colorimetry::make(settings.colorimetry, settings.bands);
-    if (!colorimetry) return std::move(colorimetry).error();
-    auto source = open_image_source(input, colorimetry->rgb_space(), job);
+    auto solved = settings.model ? Result<std::shared_ptr<const Model>>(settings.model) : solve_model(settings);
+    if (!solved) return std::move(solved).error();
+    const Colorimetry& colorimetry = (*solved)->colorimetry();
+    auto source = open_image_source(input, colorimetry.rgb_space(), job);
     if (!source) return std::move(source).error();
-    const PixelType by_default = (*source)->type() == PixelType::uint8 || (*source)->type() == PixelType::half
-                                     ? PixelType::half
-                                     : PixelType::float32;
-    const PixelType type = settings.type.value_or(by_default);
+    const PixelType type = settings.type.value_or(default_stored_type((*source)->type()));
     std::optional<BandChoice> choice;
     const double bound = settings.max_error.value_or(default_band_bound);
     if (settings.choose_bands && settings.store == Store::spectral) {
         if (settings.lights.empty())
             return Error{ErrorKind::usage, "bands are chosen for lights: expected at least one"};
-        const auto colors = sample_colors(**source, *colorimetry, settings.gamut);
+        const auto colors = sample_colors(**source, colorimetry, settings.gamut);
         if (!colors) return colors.error();
         auto chosen = choose_bands(settings.method, settings.colorimetry, settings.lights,
                                    type == PixelType::half ? bound * (1 - half_share) : bound * 0.999, *colors, settings.least_bands);
         if (!chosen) return Error{chosen.error().kind, fmt::format("{}: {}", input, chosen.error().message)};
         choice = *std::move(chosen);
-        source = open_image_source(input, colorimetry->rgb_space(), job);
+        source = open_image_source(input, colorimetry.rgb_space(), job);
         if (!source) return std::move(source).error();
     }
-    auto model = choice ? Result<std::shared_ptr<const Model>>(choice->model) : make_model(settings.method, *colorimetry);
-    if (!model) return std::move(model).error();
-    auto plan = StorePlan::make(*model, settings.store, type);
+    auto model = choice ? choice->model : *solved;
+    auto plan = StorePlan::make(model, settings.store, type);
     if (!plan) return std::move(plan).error();
-    UpliftSetup setup(*std::move(source), *std::move(model), *std::move(plan), settings.gamut);
+    UpliftSetup setup(*std::move(source), std::move(model), *std::move(plan), settings.gamut);
     if (choice) {
         const auto& nm = setup.model->colorimetry().bands().wavelengths_nm();
         setup.chosen.push_back({"bands", fmt::format("{} chosen for this texture's colours and lights: {} nm; largest CIE76 {:.3g} over {} "
@@ -388,6 +385,16 @@ bool has_suffix(const std::string& path, std::string_view suffix) {
 }
 
 }  // namespace
+
+PixelType default_stored_type(PixelType input) {
+    return input == PixelType::uint8 || input == PixelType::half ? PixelType::half : PixelType::float32;
+}
+
+Result<std::shared_ptr<const Model>> solve_model(const UpliftSettings& settings) {
+    auto colorimetry = Colorimetry::make(settings.colorimetry, settings.bands);
+    if (!colorimetry) return std::move(colorimetry).error();
+    return make_model(settings.method, *colorimetry);
+}
 
 Result<Explanation> explain_uplift(const std::string& input, const UpliftOptions& options) {
     const auto setup = UpliftSetup::make(input, options.settings, options.job);

@@ -30,6 +30,9 @@ using ProgressFunction = std::function<void(std::uint64_t done, std::uint64_t to
 /// What every job takes.
 struct JobOptions {
     int threads = 0;      ///< 0: all processors
+    /// Strips are computed by the threads of the TBB arena that the caller is in, which several jobs may share; `threads` is
+    /// then what the file libraries take.
+    bool in_callers_arena = false;
     bool strict = false;  ///< a non-finite sample is an error instead of a replacement
     ProgressFunction progress;
     std::string input_colorspace;  ///< empty: as the file says (choose_input_space)
@@ -51,7 +54,7 @@ struct UpliftSettings {
     BandSet bands;  ///< of the stored spectra, or on which a coefficient texture's model is solved
     ColorimetrySpec colorimetry;
     GamutPolicy gamut = GamutPolicy::clip;
-    std::optional<PixelType> type;  ///< half or float32; by default half for 8-bit and half inputs, else float32
+    std::optional<PixelType> type;  ///< half or float32; by default default_stored_type of the input's
     /// Largest CIE76 that storage may cost any pixel, in its round trip and under each of `lights`; mantissas are rounded to
     /// the fewest bits that keep it. Nothing: stored at the type's full precision.
     std::optional<double> max_error;
@@ -60,6 +63,8 @@ struct UpliftSettings {
     /// max_error (0.5 where that is not given); then verified on every pixel.
     bool choose_bands = false;
     std::size_t least_bands = 0;     ///< where choose_bands begins
+    /// By solve_model of these very settings, to share one among many files; empty: solved for each.
+    std::shared_ptr<const Model> model;
 };
 
 /// What UpliftSettings::max_error came to.
@@ -73,6 +78,11 @@ struct BoundedReport {
     };
     std::vector<Check> checks;
 };
+/// half for 8-bit and half inputs, else float32.
+SPECTEX_API PixelType default_stored_type(PixelType input);
+/// The model by which these settings uplift.
+/// @error usage or infeasible, as make_model.
+SPECTEX_API Result<std::shared_ptr<const Model>> solve_model(const UpliftSettings& settings);
 
 enum class Layout {
     single,     ///< one part: R,G,B preview and bands

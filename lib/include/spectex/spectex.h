@@ -2,6 +2,7 @@
 #pragma once
 
 #include "spectex/base.h"
+#include "spectex/batch.h"
 #include "spectex/coefficient_table.h"
 #include "spectex/color.h"
 #include "spectex/compare.h"

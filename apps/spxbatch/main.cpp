@@ -1,0 +1,199 @@
+// spxbatch: libraries of textures to folders of spectral or coefficient EXRs.
+#include <fmt/format.h>
+#include <unistd.h>
+
+#include "reports.h"
+#include "spectex/batch.h"
+#include "uplift_options.h"
+
+using namespace spectex;
+using namespace spectex::app;
+
+namespace {
+
+Json to_json(const BatchFile& f) {
+    Json json{{"input", f.input}, {"output", f.output.empty() ? Json() : Json(f.output)}, {"status", batch_status_name(f.status)},
+              {"reason", f.reason}, {"use", f.use}, {"width", f.width}, {"height", f.height}};
+    if (!f.content_hash.empty()) json["content_xxh3"] = f.content_hash;
+    if (!f.output_hash.empty()) json["output_xxh3"] = f.output_hash;
+    json["nonfinite"] = f.nonfinite;
+    json["out_of_gamut"] = f.out_of_gamut;
+    if (f.measured)
+        json["roundtrip"] = {{"metric", "cie76"}, {"pixels", f.measured_pixels}, {"mean", f.mean}, {"p99", f.p99}, {"max", f.max},
+                             {"changed_codes", f.changed_codes}};
+    if (f.seconds > 0) json["seconds"] = f.seconds;
+    return json;
+}
+
+Json to_json(const BatchReport& r) {
+    Json json{{"converted", r.converted}, {"skipped", r.skipped}, {"data", r.data}, {"failed", r.failed}, {"copied", r.copied},
+              {"excluded", r.excluded}, {"other_shards", r.other_shards}, {"not_images", r.not_images}, {"pixels", r.pixels},
+              {"model", r.model}, {"files", Json::array()}};
+    for (const auto& f : r.files) json["files"].push_back(to_json(f));
+    return json;
+}
+
+/// Bytes with an optional suffix K, M, G or T, powers of 1024.
+Result<std::uint64_t> parse_bytes(std::string_view text) {
+    static constexpr std::string_view units = "KMGT";
+    std::uint64_t scale = 1;
+    std::string_view digits = text;
+    if (!digits.empty())
+        if (const auto at = units.find(digits.back()); at != std::string_view::npos) {
+            scale = std::uint64_t{1} << (10 * (at + 1));
+            digits.remove_suffix(1);
+        }
+    const auto number = parse_integer(digits, 1, (std::int64_t{1} << 50) / static_cast<std::int64_t>(scale));
+    if (!number) return expected("bytes such as 4G or 800M", text);
+    return static_cast<std::uint64_t>(*number) * scale;
+}
+
+std::string summary(const BatchReport& r) {
+    return fmt::format("{} converted ({} by copying the same content), {} skipped, {} data, {} failed", r.converted, r.copied,
+                       r.skipped, r.data, r.failed);
+}
+
+/// What failed, once more at the end, where it is seen.
+int list_failures(App& app, const BatchReport& r) {
+    for (const auto& f : r.files)
+        if (f.status == BatchStatus::failed) app.report({ErrorKind::input, f.reason}, f.input);
+    return r.failed > 0 ? exit_failure : exit_ok;
+}
+
+int merge(App& app, const std::string& destination) {
+    const auto r = merge_batch(destination);
+    if (!r) return app.report(r.error(), destination);
+    for (const int i : r->missing) app.warn(fmt::format("{}: shard {} has left no manifest", destination, i));
+    app.note(fmt::format("{}: {} shards joined, {} files", destination, r->shards, r->files));
+    app.record({{"shards", r->shards}, {"merged_files", r->files}, {"missing", r->missing}});
+    return r->missing.empty() ? exit_ok : exit_failure;
+}
+
+int verify(App& app, const std::string& destination) {
+    const auto r = verify_batch(destination);
+    if (!r) return app.report(r.error(), destination);
+    app.note(fmt::format("{}: {} outputs are as they were written, {} are not", destination, r->skipped, r->failed));
+    app.record(to_json(*r));
+    return list_failures(app, *r);
+}
+
+int prune(App& app, const std::string& source, const std::string& destination, bool yes) {
+    const auto r = prune_batch(source, destination, yes);
+    if (!r) return app.report(r.error(), destination);
+    Json outputs = Json::array();
+    for (const auto& o : r->outputs) {
+        app.out(fmt::format("{}{}: {}\n", o.removed ? "removed " : "", escape(o.path), escape(o.reason)));
+        outputs.push_back({{"output", o.path}, {"reason", o.reason}, {"removed", o.removed}});
+    }
+    app.note(yes ? fmt::format("{} outputs had no source", r->outputs.size())
+                 : fmt::format("{} outputs have no source; --yes removes them", r->outputs.size()));
+    app.record({{"removed", yes}, {"outputs", std::move(outputs)}});
+    return exit_ok;
+}
+
+}  // namespace
+
+int main(int argc, char** argv) {
+    App app({"spxbatch", "SRC DST [options]\nmerge DST",
+             "Converts a folder of textures to spectral or coefficient EXRs: colour is uplifted, data maps are not, and what is "
+             "up to date is not made again.",
+             {{"spxbatch textures/ spectral/ --json report.json", "all colour textures of a library; a second run does nothing"},
+              {"spxbatch textures/ spectral/ --dry-run --explain", "what would be done with each file, and why"},
+              {"spxbatch textures/ spectral/ --shard \"$SLURM_ARRAY_TASK_ID/$SLURM_ARRAY_TASK_COUNT\"", "one task of a job array"},
+              {"spxbatch merge spectral/", "joins what the tasks have left"}}});
+    std::vector<std::string> arguments;
+    std::string layout = "single", data = "skip";
+    bool verifying = false, pruning = false, yes = false;
+    std::int64_t jobs = 0;
+    BatchOptions options;
+    UpliftOptionSet set;
+    app.positional("SRC DST", &arguments, 2, 2, "folder of textures, and folder for the outputs (made when missing); `merge DST` joins shards");
+    app.group("Files");
+    const auto pattern = [&](const char* name, std::vector<std::string>& out, const char* text) {
+        app.add({.names = name, .metavar = "GLOB", .text = text, .repeatable = true, .set = [&out](std::string_view v) -> Status {
+                     if (v.empty()) return expected("GLOB", v);
+                     out.emplace_back(v);
+                     return {};
+                 }});
+    };
+    pattern("--include", options.include, "only files whose relative path or name matches");
+    pattern("--exclude", options.exclude, "no files whose relative path or name matches");
+    app.add({.names = "--treat-as", .metavar = "GLOB=USE",
+             .text = "what matching files are: colour, data, or a use such as normal; the last that matches holds", .repeatable = true,
+             .set = [&](std::string_view v) -> Status {
+                 auto rule = parse_treat_as(v);
+                 if (!rule) return rule.error();
+                 options.treat_as.push_back(*std::move(rule));
+                 return {};
+             }});
+    app.choice("--data", "WHAT", &data, {"skip", "copy"}, "what is done with data maps");
+    app.group("Run");
+    app.integer("--jobs", "N", &jobs, 0, 1024, "files in work at once, at most; 0: as many as threads, which they share");
+    app.add({.names = "--memory", .metavar = "BYTES", .text = "what the files in work may take, as 4G; a larger file is done alone",
+             .default_value = "half of the machine's", .set = [&](std::string_view v) -> Status {
+                 auto bytes = parse_bytes(v);
+                 if (!bytes) return bytes.error();
+                 options.memory = *bytes;
+                 return {};
+             }});
+    app.add({.names = "--shard", .metavar = "I/N", .text = "only the files of part I of N, by content; N/N is 0/N",
+             .set = [&](std::string_view v) -> Status {
+                 auto shard = parse_shard(v);
+                 if (!shard) return shard.error();
+                 options.shard = *shard;
+                 return {};
+             }});
+    app.flag("--dry-run", &options.dry_run, "decide and report, write nothing");
+    app.flag("--verify", &verifying, "reread every output and compare it with what was written; converts nothing");
+    app.flag("--prune", &pruning, "list outputs whose source is gone; converts nothing");
+    app.flag("--yes", &yes, "with --prune: remove them");
+    app.group("Output");
+    app.choice("--layout", "LAYOUT", &layout, {"single", "multipart"},
+               "one part (pbrt, spectral viewers), or colour in part 0 and spectrum in part 1 (Mitsuba)");
+    app.flag("--check", &options.check_all, "measure the round trip of every pixel instead of every 16th row");
+    std::string input_colorspace;
+    add_input_colorspace(app, input_colorspace);
+    add_uplift_options(app, set);
+
+    return app.main(argc, argv, [&]() -> int {
+        const auto trimmed = [](std::string path) {
+            while (path.size() > 1 && path.back() == '/') path.pop_back();
+            return path;
+        };
+        const std::string source = trimmed(arguments[0]), destination = trimmed(arguments[1]);
+        if (source.empty() || destination.empty()) return app.usage_error("expected two folders, got an empty name");
+        if (yes && !pruning) return app.usage_error("--yes: only goes with --prune");
+        if (verifying && pruning) return app.usage_error("--verify: excludes --prune");
+        // A folder of that name is written ./merge.
+        if (source == "merge") return merge(app, destination);
+        if (verifying) return verify(app, destination);
+        if (pruning) return prune(app, source, destination, yes);
+        const auto settings = set.settings(app);
+        if (!settings) return app.report(settings.error());
+        options.settings = *settings;
+        options.layout = layout == "multipart" ? Layout::multipart : Layout::single;
+        options.compression = set.output.compression;
+        options.data = data == "copy" ? DataMaps::copy : DataMaps::skip;
+        options.jobs = static_cast<int>(jobs);
+        const auto progress = app.progress("spxbatch");
+        options.job = job_options(app, progress, input_colorspace);
+        const bool terminal = ::isatty(STDERR_FILENO) == 1;
+        options.on_file = [&](const BatchFile& f, std::size_t done, std::size_t total) {
+            progress.label(fmt::format("{}/{} files", done, total));
+            const std::string line = fmt::format("{}: {}: {}", f.relative, batch_status_name(f.status), f.reason);
+            if (!terminal && !app.explaining() && f.status != BatchStatus::skipped)
+                app.note(fmt::format("[{}/{}] {}", done, total, line));
+        };
+        const auto r = run_batch(source, destination, options);
+        if (!r) return app.report(r.error(), destination);
+        if (app.explaining()) {
+            std::vector<std::pair<std::string, std::string>> rows{{"model", r->model}};
+            for (const auto& f : r->files)
+                rows.emplace_back(escape(f.relative), fmt::format("{}: {}", batch_status_name(f.status), f.reason));
+            app.explain(source, rows);
+        }
+        app.note(fmt::format("{}{}", options.dry_run ? "would be: " : "", ::summary(*r)));
+        app.record(to_json(*r));
+        return list_failures(app, *r);
+    });
+}
