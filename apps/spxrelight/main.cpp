@@ -29,17 +29,48 @@ Status list_illuminants_matching(App& app, const std::string& pattern) {
     return {};
 }
 
+/// Bakes to the files of a name in which {illuminant} expands.
+Status bake_to(App& app, const std::string& path, const std::vector<std::string>& names, const RelightOptions& options,
+               double max_error, bool record) {
+    std::vector<std::string> outputs;
+    std::vector<NamedOutput> named;
+    // A configuration takes all of them.
+    const bool config = path.ends_with(".ocio") || path.ends_with(".OCIO");
+    for (const auto& name : names) {
+        if (config && !outputs.empty()) break;
+        outputs.push_back(config ? path : expand_illuminant(path, name));
+        named.push_back({fmt::format("--bake under {}", name), outputs.back()});
+    }
+    if (auto checked = check_outputs({}, named); !checked) return checked;
+    const auto report = bake(outputs, options, max_error);
+    if (!report) return report.error();
+    Json list = Json::array();
+    for (const auto& o : report->outputs) {
+        app.note(fmt::format("{}: under {}, {}{}", o.path, o.illuminant, o.form,
+                             o.grid == 0 ? ", exact"
+                             : o.exact   ? fmt::format(" of {0} x {0} x {0}, exact", o.grid)
+                                         : fmt::format(" of {0} x {0} x {0}, CIE76 mean {1:.3g} max {2:.3g}", o.grid, o.mean, o.max)));
+        list.push_back({{"output", o.path}, {"illuminant", o.illuminant}, {"form", o.form}, {"grid", o.grid}, {"exact", o.exact},
+                        {"mean", o.mean}, {"max", o.max}});
+    }
+    if (record) app.record({{"model", report->model}, {"baked", std::move(list)}});
+    return {};
+}
+
 }  // namespace
 
 int main(int argc, char** argv) {
-    App app({"spxrelight", "IN... -i ILLUMINANT[,ILLUMINANT...] -o OUT|DIR [options]",
+    App app({"spxrelight", "IN... -i ILLUMINANT[,ILLUMINANT...] -o OUT|DIR [options]\n-i ILLUMINANT[,ILLUMINANT...] --bake FILE [options]",
              "Reprojects textures, coefficient EXRs and spectral EXRs under other illuminants and observers.",
              {{"spxrelight bricks.png -i A -o bricks_a.png", "an sRGB texture as CIE illuminant A shows it"},
               {"spxrelight bricks.exr -i A,FL11,D:5003 -o 'bricks_{illuminant}.png'", "three lights in one pass"},
               {"spxrelight bricks.exr -i lamp.csv --adapt cat16 -o out.exr", "a measured lamp, its white adapted"},
+              {"spxrelight -i A,FL11 --bake show.ocio", "looks and colour spaces for Nuke, Blender, oiiotool: no plug-in"},
               {"spxrelight --list-illuminants led", "what can be named"}}});
     std::vector<std::string> arguments, names;
     std::string output, input_colorspace, adapt = "none", normalize = "luminance", list_pattern, relight_observer;
+    std::string bake_path;
+    double max_error = default_bake_error;
     bool listing = false;
     ColorimetryOptions colorimetry;
     MethodOptions method;
@@ -64,6 +95,11 @@ int main(int argc, char** argv) {
                  relight_observer = v;
                  return {};
              }});
+    app.group("Baking");
+    app.text("--bake", "FILE", &bake_path,
+             "write the relight itself, for linear RGB: .cube, .clf or .spimtx ({illuminant} expands), or an .ocio configuration, "
+             "which is begun or added to; needs no IN");
+    app.number("--max-error", "DE", &max_error, 0, 100, "CIE76", "largest difference of a baked method that no table holds exactly");
     app.group("Output");
     app.text("-o,--output", "OUT|DIR", &output, "image to write, with {illuminant} for several lights, or an existing folder");
     add_output_options(app, out);
@@ -76,8 +112,11 @@ int main(int argc, char** argv) {
             const auto listed = list_illuminants_matching(app, list_pattern);
             return listed ? exit_ok : app.report(listed.error());
         }
-        if (arguments.empty()) return app.usage_error("IN is missing: expected an RGB texture, a coefficient EXR or a spectral EXR");
-        if (output.empty()) return app.usage_error("-o is missing: expected an image to write or an existing folder");
+        const bool baking = !bake_path.empty();
+        if (baking && arguments.empty() && !output.empty()) return app.usage_error("-o is given, but no IN to relight");
+        const bool relighting = !baking || !output.empty();
+        if (relighting && arguments.empty()) return app.usage_error("IN is missing: expected an RGB texture, a coefficient EXR or a spectral EXR");
+        if (relighting && output.empty()) return app.usage_error("-o is missing: expected an image to write or an existing folder");
 
         RelightOptions options;
         options.method = method.method;
@@ -106,6 +145,10 @@ int main(int argc, char** argv) {
         options.type = out.type;
         options.compression = out.compression;
 
+        if (baking) {
+            if (auto baked = bake_to(app, bake_path, shown, options, max_error, !relighting); !baked) return app.report(baked.error());
+            if (!relighting) return exit_ok;
+        }
         const auto inputs = app.inputs(arguments);
         if (!inputs) return app.report(inputs.error());
         const auto jobs = plan_outputs(*inputs, output, ".exr", shown);

@@ -120,11 +120,6 @@ namespace {
 
 constexpr auto accurate = OCIO::OPTIMIZATION_LOSSLESS;
 
-/// A pair of names, one in the user's configuration and one in ours, that mean the same space.
-struct Bridge {
-    std::string user, own;
-};
-
 void apply_to_pixels(const OCIO::ConstCPUProcessorRcPtr& cpu, std::vector<float>& pixels) {
     OCIO::PackedImageDesc image(pixels.data(), static_cast<long>(pixels.size() / 3), 1, 3);
     cpu->apply(image);
@@ -160,8 +155,8 @@ double disagreement(const std::vector<float>& probe, const std::vector<float>& a
 // 2.2 and 563/256, are 1.3e-4 apart.
 constexpr double same_space = 1e-5;
 
-/// Where the two configurations meet: the interchange role, else a space whose name leaves no doubt, else scene_linear
-/// when a space named as sRGB decodes to it by the curve of sRGB alone (so its primaries are those of sRGB).
+}  // namespace
+
 std::optional<Bridge> find_bridge(const OCIO::ConstConfigRcPtr& user) {
     if (user->hasRole(OCIO::ROLE_INTERCHANGE_SCENE)) return Bridge{OCIO::ROLE_INTERCHANGE_SCENE, "ACES2065-1"};
     for (const auto& [name, own] : {std::pair{"ACES2065-1", "ACES2065-1"}, {"ACES - ACES2065-1", "ACES2065-1"},
@@ -185,6 +180,8 @@ std::optional<Bridge> find_bridge(const OCIO::ConstConfigRcPtr& user) {
     }
     return std::nullopt;
 }
+
+namespace {
 
 const EncodedSpace* own_space_named(std::string_view name) {
     for (const auto& space : own_spaces())

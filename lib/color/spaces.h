@@ -44,6 +44,15 @@ Result<OCIO_NAMESPACE::ConstConfigRcPtr> own_config();
 /// @error usage with near names; input when $OCIO cannot be read, or when it has the name but nothing to connect it by.
 Result<Resolution> resolve_space(std::string_view name);
 
+/// A pair of names, one in the user's configuration and one in ours, that mean the same space.
+struct Bridge {
+    std::string user, own;
+};
+/// Where the two configurations meet: the interchange role, else a space whose name leaves no doubt, else scene_linear
+/// when a space named as sRGB decodes to it by the curve of sRGB alone (so its primaries are those of sRGB). May throw as
+/// OpenColorIO does.
+std::optional<Bridge> find_bridge(const OCIO_NAMESPACE::ConstConfigRcPtr& user);
+
 /// A CPU processor between a space of the user's configuration and linear Rec.709. In float, without the optimisations
 /// that trade accuracy.
 Result<OCIO_NAMESPACE::ConstCPUProcessorRcPtr> user_processor(const OCIO_NAMESPACE::ConstConfigRcPtr& user,

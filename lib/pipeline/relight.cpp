@@ -203,7 +203,7 @@ Result<RelightReport> relight(const std::string& input, const std::vector<std::s
             FirstError error;
             for_row_groups(n, width, [&](int first, int count) {
                 thread_local Scratch scratch;
-                thread_local std::vector<std::vector<float>> coefficients, lit;
+                thread_local std::vector<std::vector<float>> lit;
                 const std::size_t begin = static_cast<std::size_t>(first) * static_cast<std::size_t>(width);
                 const std::size_t size = static_cast<std::size_t>(count) * static_cast<std::size_t>(width);
                 std::vector<const float*> in;
@@ -221,9 +221,7 @@ Result<RelightReport> relight(const std::string& input, const std::vector<std::s
                         error.check(mapped);
                         return;
                     }
-                    coefficient_planes(*setup.model, {rgb[0], rgb[1], rgb[2]}, size, coefficients);
-                    in.clear();
-                    for (const auto& plane : coefficients) in.push_back(plane.data());
+                    in.assign(rgb.begin(), rgb.end());
                 }
                 lit.resize(3 * images);
                 std::vector<float*> out;
@@ -231,7 +229,10 @@ Result<RelightReport> relight(const std::string& input, const std::vector<std::s
                     plane.resize(std::max(plane.size(), size));
                     out.push_back(plane.data());
                 }
-                setup.plan->execute(in, size, out);
+                if (setup.model)
+                    setup.plan->execute_colors({in[0], in[1], in[2]}, size, out);
+                else
+                    setup.plan->execute(in, size, out);
                 for (std::size_t k = 0; k < images; ++k) {
                     const std::array<float*, 3> rgb{out[3 * k], out[3 * k + 1], out[3 * k + 2]};
                     // A stored sample that is not finite makes its pixel so, whatever the light.

@@ -202,21 +202,34 @@ void RelightPlan::execute(std::span<const float* const> in, std::size_t n, std::
     case Kernel::bands:
         kernels::integrate_bands(in, n, weights_, 3 * images_, out.data());
         return;
-    case Kernel::spectra: {
-        const auto& model = *model_;
-        const std::size_t bands = model.colorimetry().bands().size(), c = in.size();
-        std::vector<double> coefficients(c * block_pixels), spectra(bands * block_pixels);
-        for (std::size_t begin = 0; begin < n; begin += block_pixels) {
-            const std::size_t count = std::min(block_pixels, n - begin);
-            for (std::size_t p = 0; p < count; ++p)
-                for (std::size_t i = 0; i < c; ++i) coefficients[p * c + i] = in[i][begin + p];
-            model.reflectance_of_coefficients({coefficients.data(), c * count}, {spectra.data(), bands * count});
-            for (std::size_t p = 0; p < count; ++p)
-                for (std::size_t j = 0; j < 3 * images_; ++j)
-                    out[j][begin + p] = static_cast<float>(dot(&weights_[j * bands], &spectra[p * bands], bands));
-        }
+    case Kernel::spectra:
+        integrate_spectra(in, n, out, [this](std::span<const double> coefficients, std::span<double> spectra) {
+            model_->reflectance_of_coefficients(coefficients, spectra);
+        });
         return;
     }
+}
+
+void RelightPlan::execute_colors(std::array<const float*, 3> rgb, std::size_t n, std::span<float* const> out) const {
+    if (kernel_ != Kernel::spectra) return execute(rgb, n, out);
+    integrate_spectra(rgb, n, out, [this](std::span<const double> colors, std::span<double> spectra) {
+        model_->reflectance(colors, spectra);
+    });
+}
+
+template <class Reflectance>
+void RelightPlan::integrate_spectra(std::span<const float* const> in, std::size_t n, std::span<float* const> out,
+                                    const Reflectance& reflectance) const {
+    const std::size_t bands = model_->colorimetry().bands().size(), c = in.size();
+    std::vector<double> numbers(c * block_pixels), spectra(bands * block_pixels);
+    for (std::size_t begin = 0; begin < n; begin += block_pixels) {
+        const std::size_t count = std::min(block_pixels, n - begin);
+        for (std::size_t p = 0; p < count; ++p)
+            for (std::size_t i = 0; i < c; ++i) numbers[p * c + i] = in[i][begin + p];
+        reflectance({numbers.data(), c * count}, {spectra.data(), bands * count});
+        for (std::size_t p = 0; p < count; ++p)
+            for (std::size_t j = 0; j < 3 * images_; ++j)
+                out[j][begin + p] = static_cast<float>(dot(&weights_[j * bands], &spectra[p * bands], bands));
     }
 }
 

@@ -151,6 +151,28 @@ SPECTEX_API Result<Explanation> explain_relight(const std::string& input, const 
 SPECTEX_API Result<RelightReport> relight(const std::string& input, const std::vector<std::string>& outputs,
                                           const RelightOptions& options);
 
+/// How far the table of a method that is not linear in pieces may be from the method.
+inline constexpr double default_bake_error = 1;
+
+struct BakeReport {
+    std::string model;  ///< one line: method and colorimetry
+    struct Output {
+        std::string path, illuminant, form;  ///< form: "matrix" or "tetrahedral table"
+        int grid = 0;                        ///< vertices per axis of a table
+        bool exact = true;                   ///< the method itself, to float rounding
+        double mean = 0, max = 0;            ///< CIE76 of the tables of others against the method, relative to the relit white
+    };
+    std::vector<Output> outputs;
+};
+/// The plan of a relight as a file: .spimtx (methods linear in RGB alone), .cube or .clf, one per illuminant; or one .ocio, a
+/// configuration to which every illuminant is added, with its CLF beside. They take and give linear RGB of the options'
+/// RGB space; tables hold for [0,1] and clamp beyond. Methods that are not linear in pieces get the smallest grid of at
+/// most 65 vertices an axis that keeps within `max_error`.
+/// @param outputs  as many as illuminants, or one .ocio.
+/// @error usage for other suffixes and for a form that cannot hold the method; input when no grid is fine enough.
+SPECTEX_API Result<BakeReport> bake(const std::vector<std::string>& outputs, const RelightOptions& options,
+                                    double max_error = default_bake_error);
+
 struct DifferenceOptions {
     JobOptions job;
     Metric metric = Metric::ciede2000;

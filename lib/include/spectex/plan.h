@@ -60,14 +60,26 @@ public:
     /// @param out  [3 * images] planes of n: R, G, B of the first illuminant, then of the next.
     void execute(std::span<const float* const> in, std::size_t n, std::span<float* const> out) const;
 
+    /// The same from linear RGB of the model's space, each in [0,1], without stored coefficients in between: of a nonlinear
+    /// method it is right to the rounding of the result. For plans of a model alone.
+    /// @param rgb  three planes of n.
+    void execute_colors(std::array<const float*, 3> rgb, std::size_t n, std::span<float* const> out) const;
+
     /// The 3x3 matrix of one image, when the plan is one.
     const Matrix3* matrix(std::size_t image) const;
+    /// The tetrahedral table of all images, [vertices][3 images], when the plan is one. Null otherwise.
+    const LatticeTable* table() const { return table_.get(); }
+    /// Whether a spectrum is formed per colour, so that a colour met again is worth remembering.
+    bool forms_spectra() const { return kernel_ == Kernel::spectra; }
     const Explanation& explanation() const { return explanation_; }
 
 private:
     enum class Kernel { matrix, lattice, bands, spectra };
     static RelightPlan of_model(std::shared_ptr<const Model> model, std::vector<double> rows);
     static RelightPlan of_bands(std::size_t bands, std::vector<double> rows);
+    template <class Reflectance>
+    void integrate_spectra(std::span<const float* const> in, std::size_t n, std::span<float* const> out,
+                           const Reflectance& reflectance) const;
 
     Kernel kernel_ = Kernel::bands;
     std::size_t images_ = 0;
