@@ -57,9 +57,16 @@ std::string fitted(std::string text, double size, double width, Weight weight = 
     return text + "…";
 }
 
+/// The size at which the text has that width: no larger than `size`, no smaller than `least` of it.
+double fitting_size(const std::string& text, double size, double width, double least = 0.72) {
+    const double wide = measure_text(text, size, Weight::regular).width;
+    return wide <= width ? size : size * std::max(least, width / wide * 0.99);
+}
+
 std::string figure(double v) {
     if (v == 0) return "0";
-    if (v < 0.005) return "<0.01";
+    // What rounding leaves is shown as such.
+    if (v < 0.005) return fmt::format("{:.0e}", v);
     return fmt::format("{:.{}f}", v, v < 9.95 ? 2 : 1);
 }
 
@@ -76,7 +83,7 @@ std::string figures(const DifferenceStatistics& s) {
 /// Means with whiskers to the 99th percentile, on the scale of the maps.
 void draw_bars(Canvas& canvas, const Measures& m, int x, int y, const std::vector<std::pair<std::string, const DifferenceStatistics*>>& bars,
                const ColorMap& colors, const std::array<double, 2>& range, const std::string& unit) {
-    const double left = x + 34 * m.u, right = x + m.panel, top = y + 30 * m.u, bottom = y + m.panel - 26 * m.u;
+    const double left = x + 34 * m.u, right = x + m.panel, top = y + 30 * m.u, bottom = y + m.panel - 34 * m.u;
     const auto at = [&](double v) {
         return bottom - (std::clamp(v, range[0], range[1]) - range[0]) / (range[1] - range[0]) * (bottom - top);
     };
@@ -88,6 +95,8 @@ void draw_bars(Canvas& canvas, const Measures& m, int x, int y, const std::vecto
         canvas.text(left - 6 * m.u, at(positions[i]) + 4 * m.u, labels.text[i], m.small(), faint, Weight::regular, Anchor::right);
     }
     const double step = (right - left) / static_cast<double>(bars.size()), half = std::min(0.28 * step, 34 * m.u);
+    double size = m.small();
+    for (const auto& bar : bars) size = std::min(size, fitting_size(bar.first, m.small(), step - 3 * m.u, 0.6));
     for (std::size_t i = 0; i < bars.size(); ++i) {
         const auto& [label, s] = bars[i];
         const double middle = left + (static_cast<double>(i) + 0.5) * step;
@@ -103,9 +112,8 @@ void draw_bars(Canvas& canvas, const Measures& m, int x, int y, const std::vecto
                 canvas.line(middle - 6 * m.u, at(s->p99), middle + 6 * m.u, at(s->p99), 1.3 * m.u, ink);
             }
         }
-        const bool beside = at(s->p99) < at(s->mean) - 16 * m.u;
-        canvas.text(middle + (beside ? half * 0.52 : 0), at(s->mean) - 5 * m.u, figure(s->mean), m.small(), ink, Weight::bold, Anchor::center);
-        canvas.text(middle, bottom + 15 * m.u, fitted(label, m.small(), step), m.small(), ink, Weight::regular, Anchor::center);
+        canvas.text(middle, bottom + 15 * m.u, fitted(label, size, step - 3 * m.u), size, ink, Weight::regular, Anchor::center);
+        canvas.text(middle, bottom + 30 * m.u, figure(s->mean), size, ink, Weight::bold, Anchor::center);
     }
     canvas.line(left, bottom, right, bottom, std::max(1.0, m.u), ink);
 }
@@ -125,7 +133,8 @@ Result<Picture> draw_figure1(const GamutRendering& rendering, const Figure1Style
     const auto heading = [&](std::size_t column, std::size_t row, const std::string& title, const std::string& below) {
         const double x = m.x(column), y = m.y(row);
         canvas->text(x, y - 23 * m.u, fitted(title, m.text(), m.panel, Weight::bold), m.text(), ink, Weight::bold);
-        canvas->text(x, y - 8 * m.u, fitted(below, m.small(), m.panel), m.small(), faint);
+        const double size = fitting_size(below, m.small(), m.panel);
+        canvas->text(x, y - 8 * m.u, fitted(below, size, m.panel), size, faint);
     };
     const auto paste = [&](std::size_t column, std::size_t row, const Picture& picture) {
         canvas->paste(picture, m.x(column), m.y(row), m.panel, m.panel, Filter::box);

@@ -22,6 +22,9 @@
 namespace spectex::jakob2019 {
 namespace {
 
+/// What is darker is black: its coefficients, of the order of 1000 / sqrt(z), would exceed what counts as saturated. No float
+/// is so small.
+constexpr double darkest = 1e-50;
 /// Below it the kernel's residual, formed by 1/2 + x / (2 sqrt(1 + x^2)), is too coarse beside the colour.
 constexpr double darkest_in_kernel = 1e-5;
 /// sqrt(z) of the vertices that stand for black: close enough to the limit that the difference, of the order of z, is less
@@ -107,7 +110,7 @@ Solver::Mirrored Solver::mirror(Vector3 p) const {
 }
 
 bool Solver::closed_form(const Mirrored& m, Vector3& c) const {
-    if (!(m.z > 0)) {
+    if (!(m.z > darkest)) {
         c = {0, 0, -saturated};
         return true;
     }
