@@ -58,7 +58,12 @@ void read_png(const File& file, FileFacts& facts) {
         const std::string_view type(reinterpret_cast<const char*>(c.data()) + 4, 4);
         const unsigned char* body = c.data() + 8;
         if (type == "IDAT" || type == "IEND") break;
-        if (type == "IHDR" && length == 13) facts.png_interlaced = body[12] != 0;
+        if (type == "IHDR" && length == 13) {
+            facts.png_bits = body[8];
+            facts.png_color_type = body[9];
+            facts.png_interlaced = body[12] != 0;
+        }
+        if (type == "tRNS") facts.png_transparent = true;
         if (type == "sRGB" && length == 1) facts.srgb = true;
         if (type == "iCCP") icc = true;
         if (type == "gAMA" && length == 4 && be32(body) > 0) facts.gamma = 100000.0 / be32(body);

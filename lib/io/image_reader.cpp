@@ -4,7 +4,7 @@
 #include <algorithm>
 #include <mutex>
 
-#include "io/internal.h"
+#include "io/png.h"
 
 namespace spectex::io {
 namespace {
@@ -279,6 +279,7 @@ Result<std::unique_ptr<ImageReader>> open_oiio(const std::string& path, int thre
                               spec.get_int_attribute("oiio:UnassociatedAlpha", 0) == 0));
     header.color_hints = color_hints(spec, header.format, *facts);
     read_metadata(spec, header.metadata);
+    if (auto png = open_png(header, *facts)) return png;
     if (header.format == "tiff" || header.format == "gif") {
         header.subimages = tiff_subimages(*input);
         if (!input->seek_subimage(0, 0)) return input_error(path, "cannot go back to its first image");

@@ -8,6 +8,7 @@
 #include <set>
 
 #include "io/exr_stream.h"
+#include "io/png.h"
 
 namespace spectex::io {
 namespace {
@@ -298,12 +299,17 @@ Result<std::unique_ptr<ImageWriter>> create_writer(const std::string& path, cons
 
     auto file = OutputFile::create(path);
     if (!file) return file.error();
+    const int threads = prepare_threads(options.threads);
+    // A level is asked of the format's own library, and so is the division by alpha.
+    if (suffix == ".png" && options.compression.empty() && !(alpha >= 0 && alpha_associated)) {
+        auto png = create_png(*file, spec, type, threads);
+        if (!png || *png) return png;
+    }
     auto output = OIIO::ImageOutput::create(file->temporary_path());
     if (!output) {
         const std::string why = OIIO::geterror();
         return output_error(path, why.empty() ? fmt::format("no image format has the suffix '{}'", suffix) : why);
     }
-    const int threads = prepare_threads(options.threads);
     output->threads(threads);
     std::unique_ptr<CheckedFile> checked;
     if (output->supports("ioproxy")) {

@@ -69,6 +69,8 @@ inline constexpr std::size_t max_attribute_name = 255;
 /// What only the file itself can tell, since OpenImageIO fills in the rest.
 struct FileFacts {
     bool png = false, png_interlaced = false;
+    bool png_transparent = false;  ///< a colour of its own stands for transparency (tRNS)
+    std::uint8_t png_bits = 0, png_color_type = 0xff;
     bool srgb = false;
     std::optional<double> gamma;
     std::optional<std::array<double, 8>> chromaticities;
