@@ -4,8 +4,13 @@ namespace spectex::app {
 
 void add_uplift_options(App& app, UpliftOptionSet& options) {
     add_method_options(app, options.method);
-    app.choice("--store", "WHAT", &options.store, {"coefficients", "spectral"},
-               "what the file holds: three coefficients per texel with the model in the header, or one channel per band");
+    app.choice("--store", "WHAT", &options.store, {"coefficients", "spectral", "auto"},
+               "what the file holds: three coefficients per texel with the model in the header, one channel per band, or what "
+               "--for-reader can use");
+    std::string names;
+    for (const auto& reader : readers()) names += (names.empty() ? "" : ", ") + reader.name;
+    app.list("--for-reader", "NAME[,NAME]", &options.readers, "programs that will read the file, for --store auto: " + names);
+    app.flag("--skip-transparent", &options.skip_transparent, "store texels of alpha 0 as black instead of uplifting their colours");
     app.number("--max-error", "DE", &options.max_error, 1e-4, 100, "CIE76",
                "round mantissas, of each pixel as far as its stored colour stays within this of the exact one: smaller files");
     app.add({.names = "--for", .metavar = "ILLUMINANT[,ILLUMINANT...]",
@@ -23,11 +28,24 @@ void add_uplift_options(App& app, UpliftOptionSet& options) {
     add_output_options(app, options.output, OutputTypes::float_only);
 }
 
+Result<std::optional<StoreChoice>> UpliftOptionSet::store_choice() const {
+    if (store != "auto") {
+        if (!readers.empty()) return Error{ErrorKind::usage, "--for-reader chooses what is stored: expected --store auto"};
+        return std::optional<StoreChoice>{};
+    }
+    auto choice = choose_store(readers);
+    if (!choice) return std::move(choice).error();
+    return std::optional<StoreChoice>(*std::move(choice));
+}
+
 Result<UpliftSettings> UpliftOptionSet::settings(const App& app) const {
     UpliftSettings s;
+    const auto choice = store_choice();
+    if (!choice) return choice.error();
     s.method = method.method;
     s.gamut = method.gamut;
-    s.store = store == "spectral" ? Store::spectral : Store::coefficients;
+    s.store = *choice ? (*choice)->store : store == "spectral" ? Store::spectral : Store::coefficients;
+    s.skip_transparent = skip_transparent;
     s.colorimetry = colorimetry.spec;
     s.type = output.type;
     s.max_error = max_error;

@@ -12,12 +12,15 @@ struct UpliftOptionSet {
     OutputOptions output;
     std::string store = "coefficients";
     std::optional<double> max_error;
-    std::vector<std::string> lights;
+    std::vector<std::string> lights, readers;
+    bool skip_transparent = false;
 
+    /// What --store auto comes to; nothing where it is named. @error usage, as choose_store.
+    Result<std::optional<StoreChoice>> store_choice() const;
     /// @error usage.
     Result<UpliftSettings> settings(const App& app) const;
 };
-/// --method --gamut --store --max-error --for --bands --observer --illuminant --rgb-space --matrix --half --float --compression
+/// --method --gamut --store --for-reader --skip-transparent --max-error --for --bands --observer --illuminant --rgb-space --matrix --half --float --compression
 void add_uplift_options(App& app, UpliftOptionSet& options);
 
 }  // namespace spectex::app

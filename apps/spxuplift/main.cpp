@@ -17,7 +17,7 @@ int main(int argc, char** argv) {
               {"spxuplift bricks.png -o bricks.exr --check --json -", "measure the round trip of every pixel"}}});
     std::vector<std::string> arguments;
     std::string output, layout = "single", input_colorspace;
-    bool check = false;
+    bool check = false, constant_to_pixel = false;
     UpliftOptionSet set;
     app.positional("IN", &arguments, 1, App::unlimited, "textures in any format of OpenImageIO; wildcards are expanded");
     app.group("Output");
@@ -29,6 +29,7 @@ int main(int argc, char** argv) {
     app.choice("--layout", "LAYOUT", &layout, {"single", "multipart"},
                "one part (pbrt, spectral viewers), or colour in part 0 and spectrum in part 1 (Mitsuba)");
     app.flag("--check", &check, "measure the round trip of every pixel instead of every 16th row");
+    app.flag("--constant-to-pixel", &constant_to_pixel, "write a texture of one colour as 1 x 1");
     add_input_colorspace(app, input_colorspace);
     add_uplift_options(app, set);
 
@@ -42,6 +43,14 @@ int main(int argc, char** argv) {
         UpliftOptions options;
         options.settings = *settings;
         options.layout = layout == "multipart" ? Layout::multipart : Layout::single;
+        const auto choice = set.store_choice();
+        if (!choice) return app.report(choice.error());
+        if (*choice) {
+            if (app.given("--layout") && options.layout != (*choice)->layout && (*choice)->store == Store::spectral)
+                return app.usage_error("--layout: the readers named by --for-reader need the other layout");
+            if (!app.given("--layout")) options.layout = (*choice)->layout;
+        }
+        options.constant_to_pixel = constant_to_pixel;
         options.compression = set.output.compression;
         options.check_all = check;
         return app.each(*jobs, [&](const Job& job) -> Result<Json> {
@@ -50,7 +59,9 @@ int main(int argc, char** argv) {
             if (app.explaining()) {
                 const auto lines = explain_uplift(job.input, options);
                 if (!lines) return lines.error();
-                explain(app, job.input, *lines);
+                auto all = *lines;
+                if (*choice) all.push_back({"store chosen", (*choice)->reason});
+                explain(app, job.input, all);
             }
             const auto report = uplift(job.input, job.outputs[0], options);
             if (!report) return report.error();
@@ -70,12 +81,14 @@ int main(int argc, char** argv) {
             json["output"] = report->output;
             json["method"] = options.settings.method;
             json["model"] = report->model;
-            json["store"] = set.store;
+            json["store"] = options.settings.store == Store::spectral ? "spectral" : "coefficients";
             json["type"] = pixel_type_name(report->type);
             json["channels"] = report->channels;
             json["roundtrip"] = to_json(report->roundtrip, Metric::cie76);
             json["roundtrip"]["checked"] = report->checked_all ? "all" : "every 16th row";
             if (!report->bands_nm.empty()) json["bands_nm"] = report->bands_nm;
+            if (options.settings.skip_transparent) json["transparent"] = report->transparent;
+            if (options.constant_to_pixel) json["constant"] = report->constant;
             json["file_bytes"] = report->file_bytes;
             json["raw_bytes"] = report->raw_bytes;
             json["ratio"] = ratio;

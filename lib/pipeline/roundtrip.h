@@ -24,6 +24,7 @@ struct Scratch {
 struct Counts {
     std::uint64_t nonfinite = 0, out_of_gamut = 0;
     std::size_t first_nonfinite = std::numeric_limits<std::size_t>::max();  ///< index within the strip
+    std::uint64_t transparent = 0;
     BoundedStore::Outcome bounded;
 };
 
@@ -45,10 +46,12 @@ public:
     void add(const Counts& counts, int strip_y, int width);
     void put_into(InputReport& report) const;
     const BoundedStore::Outcome& bounded() const { return bounded_; }
+    std::uint64_t transparent() const { return transparent_; }
 
 private:
     std::mutex mutex_;
     std::uint64_t nonfinite_ = 0, out_of_gamut_ = 0, first_ = std::numeric_limits<std::uint64_t>::max();
+    std::uint64_t transparent_ = 0;
     BoundedStore::Outcome bounded_;
 };
 
@@ -61,6 +64,7 @@ struct UpliftSetup {
     StorePlan plan;
     GamutPolicy gamut;
     std::shared_ptr<const BoundedStore> bounded;  ///< in place of plan.store, under max_error
+    std::optional<std::size_t> alpha;             ///< the other channel by which texels are skipped
     Explanation chosen;                           ///< the bands that were chosen for this texture
 
     /// Pixels [begin, begin + n) of the strip at row y to stored samples; leaves the linearised input and the mapped colours in scratch.

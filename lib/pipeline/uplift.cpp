@@ -3,6 +3,7 @@
 #include <xxhash.h>
 
 #include <algorithm>
+#include <cstring>
 #include <filesystem>
 #include <limits>
 #include <map>
@@ -139,6 +140,12 @@ Result<UpliftSetup> UpliftSetup::make(const std::string& input, const UpliftSett
     auto plan = StorePlan::make(model, settings.store, type);
     if (!plan) return std::move(plan).error();
     UpliftSetup setup(*std::move(source), std::move(model), *std::move(plan), settings.gamut);
+    const auto& others = setup.source->others();
+    for (std::size_t i = 0; settings.skip_transparent && i < others.size(); ++i)
+        if (others[i].name == "A") setup.alpha = i;
+    if (settings.skip_transparent)
+        setup.chosen.push_back({"skipped", setup.alpha ? "colours of texels whose alpha is 0: stored as black"
+                                                       : "no texel: the texture has no alpha"});
     if (choice) {
         const auto& nm = setup.model->colorimetry().bands().wavelengths_nm();
         setup.chosen.push_back({"bands", fmt::format("{} chosen for this texture's colours and lights: {} nm; largest CIE76 {:.3g} over {} "
@@ -185,6 +192,17 @@ Status UpliftSetup::convert(const RawStrip& raw, int y, std::size_t begin, std::
         scratch.input[c].resize(std::max(scratch.input[c].size(), n));
         std::copy_n(decoded[c], n, scratch.input[c].data());
         std::copy_n(decoded[c], n, scratch.rgb[c].data());
+    }
+    if (alpha) {
+        const std::size_t size = pixel_bytes(source->others()[*alpha].type);
+        const std::byte zero[sizeof(float)] = {};
+        std::vector<std::byte> values(n * size);
+        source->copy_other(raw, *alpha, begin, n, values.data());
+        for (std::size_t p = 0; p < n; ++p) {
+            if (std::memcmp(&values[p * size], zero, size) != 0) continue;
+            ++counts.transparent;
+            for (std::size_t c = 0; c < 3; ++c) scratch.rgb[c][p] = scratch.input[c][p] = 0;
+        }
     }
     const std::array<float*, 3> rgb{scratch.rgb[0].data(), scratch.rgb[1].data(), scratch.rgb[2].data()};
     const auto report = source->report();
@@ -279,6 +297,7 @@ void CountTotals::add(const Counts& counts, int strip_y, int width) {
     nonfinite_ += counts.nonfinite;
     out_of_gamut_ += counts.out_of_gamut;
     bounded_.add(counts.bounded);
+    transparent_ += counts.transparent;
     if (counts.first_nonfinite != std::numeric_limits<std::size_t>::max())
         first_ = std::min(first_, static_cast<std::uint64_t>(strip_y) * static_cast<std::uint64_t>(width) + counts.first_nonfinite);
 }
@@ -375,6 +394,34 @@ Layouts lay_out(const UpliftSetup& setup, const UpliftOptions& options, bool pre
     return result;
 }
 
+/// Whether every pixel of a texture has the bytes of its first one, in all channels.
+Result<bool> is_constant(const std::string& input, const RgbSpace& space, const JobOptions& job) {
+    auto source = open_image_source(input, space, job);
+    if (!source) return std::move(source).error();
+    const int height = (*source)->geometry().height;
+    const std::size_t row = (*source)->raw_bytes_per_row(), size = row / static_cast<std::size_t>((*source)->geometry().width);
+    const int rows = rows_per_strip((*source)->preferred_rows(), row, height);
+    RawStrip raw;
+    std::vector<std::byte> first;
+    for (int y = 0; y < height; y += rows) {
+        const int count = std::min(rows, height - y);
+        if (auto s = (*source)->read(y, count, raw); !s) return s.error();
+        if (first.empty()) first.assign(raw.samples.begin(), raw.samples.begin() + static_cast<std::ptrdiff_t>(size));
+        // Equal to the first pixel and each to the one before it: every one is the same.
+        const std::size_t bytes = row * static_cast<std::size_t>(count);
+        if (std::memcmp(raw.samples.data(), first.data(), size) != 0 ||
+            std::memcmp(raw.samples.data(), raw.samples.data() + size, bytes - size) != 0)
+            return false;
+    }
+    return true;
+}
+
+PlanLine constant_line(bool constant, const Geometry& geometry) {
+    if (!constant) return {"constant", "no: every pixel is stored"};
+    return {"skipped", fmt::format("{} of {} pixels: the texture is constant and stored as 1 x 1",
+                                   std::int64_t{geometry.width} * geometry.height - 1, std::int64_t{geometry.width} * geometry.height)};
+}
+
 bool has_suffix(const std::string& path, std::string_view suffix) {
     if (path.size() < suffix.size()) return false;
     for (std::size_t i = 0; i < suffix.size(); ++i) {
@@ -400,6 +447,11 @@ Result<Explanation> explain_uplift(const std::string& input, const UpliftOptions
     const auto setup = UpliftSetup::make(input, options.settings, options.job);
     if (!setup) return setup.error();
     auto lines = setup->explanation();
+    if (options.constant_to_pixel) {
+        const auto constant = is_constant(input, setup->model->colorimetry().rgb_space(), options.job);
+        if (!constant) return constant.error();
+        lines.push_back(constant_line(*constant, setup->source->geometry()));
+    }
     lines.push_back({"check", options.check_all ? "round trip of every pixel" : "round trip of every 16th row, into the header"});
     return lines;
 }
@@ -423,7 +475,18 @@ Result<UpliftReport> uplift(const std::string& input, const std::string& output,
         to_preview = *std::move(plan);
     }
     const Layouts layout = lay_out(*setup, options, preview);
-    const auto& geometry = setup->source->geometry();
+    Geometry geometry = setup->source->geometry();
+    bool constant = false;
+    if (options.constant_to_pixel) {
+        const auto found = is_constant(input, setup->model->colorimetry().rgb_space(), options.job);
+        if (!found) return found.error();
+        constant = *found;
+    }
+    if (constant) {
+        // The windows go with the size: what was a frame has no place around one texel.
+        geometry.x = geometry.y = geometry.full_x = geometry.full_y = 0;
+        geometry.width = geometry.height = geometry.full_width = geometry.full_height = 1;
+    }
     const PixelType type = setup->plan.type();
     auto writer = ExrWriter::create(output, geometry, layout.parts, {type, options.compression, options.job.threads});
     if (!writer) return std::move(writer).error();
@@ -542,6 +605,8 @@ Result<UpliftReport> uplift(const std::string& input, const std::string& output,
     report.file_bytes = ignored ? 0 : static_cast<std::uint64_t>(bytes);
     for (const auto t : types) report.raw_bytes += pixel_bytes(t) * static_cast<std::uint64_t>(width) * static_cast<std::uint64_t>(geometry.height);
     report.output = output;
+    report.constant = constant;
+    report.transparent = totals.transparent();
     if (spectral) report.bands_nm = colorimetry.bands().wavelengths_nm();
     report.model = fmt::format("{}, {}", setup->model->info().id, colorimetry.describe());
     for (const auto& part : layout.parts)

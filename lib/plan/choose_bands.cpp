@@ -323,7 +323,7 @@ Result<BandChoice> choose_bands(std::string_view method, const ColorimetrySpec& 
             if (!to) return to.error();
             const auto fitter = Fitter::make(truth, *to, lights);
             if (!fitter) return fitter.error();
-            LatticeTable fitted{table->knots, nm.size(), std::vector<double>(truth.relit[0].cols() * static_cast<std::ptrdiff_t>(nm.size()))};
+            LatticeTable fitted{table->knots, nm.size(), std::vector<double>(static_cast<std::size_t>(truth.relit[0].cols()) * nm.size())};
             // A vertex without a reflectance keeps the nearest one; colours that need it show in what follows.
             tbb::parallel_for(std::size_t{0}, static_cast<std::size_t>(truth.relit[0].cols()), [&](std::size_t v) {
                 (void)fitter->fit(v, {&fitted.vertices[v * nm.size()], nm.size()});

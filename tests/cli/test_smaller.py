@@ -126,3 +126,50 @@ def test_bands_for_other_methods_and_impossible_bounds(run, tmp_path):
                  "--json", "-", check=0).json()
     assert max(check["max"] for check in report["max_error"]["checks"]) <= 0.5
     assert len(report["bands_nm"]) == report["channels"].__len__() - 3 < 41
+
+
+def test_store_follows_the_readers(png, run, tmp_path):
+    out = tmp_path / "out.exr"
+    for readers, store, parts in (("pbrt", "coefficients", 1), ("spectex,pbrt", "coefficients", 1), ("pbrt,mitsuba", "spectral", 2),
+                                  ("spectral-exr,spectex", "spectral", 1)):
+        outcome = run("spxuplift", png, "-o", out, "--store", "auto", "--for-reader", readers, "--bands", 9, "--explain", "--json", "-", check=0)
+        assert outcome.json()["store"] == store and "store chosen" in outcome.stderr
+        source = oiio.ImageInput.open(str(out))
+        assert [source.seek_subimage(i, 0) for i in range(2)] == [True, parts == 2]
+        assert any(name.startswith("T.") for name in source.spec().channelnames) == (store == "spectral") or parts == 2
+        source.close()
+    for wrong in (["--store", "auto", "--for-reader", "mitsuba,spectral-exr"], ["--store", "auto", "--for-reader", "blender"],
+                  ["--for-reader", "pbrt"], ["--store", "auto", "--for-reader", "mitsuba", "--layout", "single"]):
+        run("spxuplift", png, "-o", tmp_path / "no.exr", *wrong, check=64)
+
+
+def test_constant_textures_become_a_pixel_on_request(run, tmp_path):
+    source, out = tmp_path / "flat.png", tmp_path / "out.exr"
+    pixels = np.tile(np.array([200, 30, 90, 255], np.uint8), (37, 53, 1))
+    write_image(source, pixels, ["R", "G", "B", "A"])
+    run("spxuplift", source, "-o", out, check=0)
+    whole = read_image(out)[0]
+    assert whole.shape == (37, 53, 4)
+    outcome = run("spxuplift", source, "-o", out, "--constant-to-pixel", "--explain", "--json", "-", check=0)
+    assert "1960 of 1961 pixels" in outcome.stderr and outcome.json()["constant"] is True
+    assert np.array_equal(read_image(out)[0], whole[:1, :1])
+    for channel in range(4):  # one code in the last pixel, alpha as well, and it is no longer constant
+        pixels[-1, -1] = [200, 30, 90, 255]
+        pixels[-1, -1, channel] -= 1
+        write_image(source, pixels, ["R", "G", "B", "A"])
+        assert run("spxuplift", source, "-o", out, "--constant-to-pixel", "--json", "-", check=0).json()["constant"] is False
+        assert read_image(out)[0].shape == (37, 53, 4)
+
+
+def test_transparent_texels_are_skipped_on_request(run, gradient, tmp_path):
+    source, plain, out = tmp_path / "cut.png", tmp_path / "plain.exr", tmp_path / "out.exr"
+    alpha = np.where(np.arange(16) % 3 == 0, 0, 255).astype(np.uint8) * np.ones((8, 1), np.uint8)
+    alpha[0, 0] = 1  # hardly there is there
+    write_image(source, np.dstack([gradient, alpha]), ["R", "G", "B", "A"])
+    spectral = ["--store", "spectral", "--bands", 9]
+    run("spxuplift", source, "-o", plain, *spectral, check=0)
+    outcome = run("spxuplift", source, "-o", out, *spectral, "--skip-transparent", "--explain", "--json", "-", check=0)
+    assert outcome.json()["transparent"] == (alpha == 0).sum() and "alpha is 0" in outcome.stderr
+    before, after = spectral_planes(plain)[1], spectral_planes(out)[1]
+    assert np.array_equal(after[alpha != 0], before[alpha != 0])
+    assert (after[alpha == 0] == 0).all() and (before[alpha == 0] != 0).any()

@@ -10,6 +10,7 @@
 #include <functional>
 #include <memory>
 #include <optional>
+#include <span>
 #include <string>
 #include <vector>
 
@@ -65,6 +66,9 @@ struct UpliftSettings {
     std::size_t least_bands = 0;     ///< where choose_bands begins
     /// By solve_model of these very settings, to share one among many files; empty: solved for each.
     std::shared_ptr<const Model> model;
+    /// Colours of texels whose alpha is 0 are stored as black instead of being uplifted. Off by default: filters that look
+    /// across the edge of what is opaque may want the colour behind it.
+    bool skip_transparent = false;
 };
 
 /// What UpliftSettings::max_error came to.
@@ -89,12 +93,32 @@ enum class Layout {
     multipart,  ///< part "rgb", part "spectrum" (or "coefficients"), which Mitsuba reads
 };
 
+/// What is known of a program that reads our files.
+struct ReaderInfo {
+    std::string name;
+    bool coefficients = false;  ///< can use a coefficient EXR
+    bool spectral = false;      ///< can use a spectral EXR
+    Layout layout = Layout::single;
+    bool any_layout = false;    ///< `layout` does not matter to it
+    std::string why;
+};
+SPECTEX_API const std::vector<ReaderInfo>& readers();
+struct StoreChoice {
+    Store store = Store::coefficients;
+    Layout layout = Layout::single;
+    std::string reason;
+};
+/// Coefficients where every named reader can use them, else spectra in the layout that they need.
+/// @error usage, for an unknown reader and for readers that no one layout serves.
+SPECTEX_API Result<StoreChoice> choose_store(std::span<const std::string> names);
+
 struct UpliftOptions {
     JobOptions job;
     UpliftSettings settings;
     Layout layout = Layout::single;
     std::string compression;  ///< empty: zip
     bool check_all = false;   ///< measure the round trip of every pixel; otherwise of one row in sixteen
+    bool constant_to_pixel = false;  ///< a texture of one colour (and one alpha, one of all else) becomes 1 x 1
 };
 
 struct UpliftReport {
@@ -108,6 +132,8 @@ struct UpliftReport {
     std::uint64_t file_bytes = 0, raw_bytes = 0;  ///< of the output, and of its samples uncompressed
     std::optional<BoundedReport> bounded;         ///< under max_error or choose_bands
     std::vector<double> bands_nm;                 ///< of stored spectra
+    std::uint64_t transparent = 0;                ///< pixels under skip_transparent
+    bool constant = false;                        ///< written as 1 x 1
 };
 
 /// A plan made and not run: what `--explain` prints.
