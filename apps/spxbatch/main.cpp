@@ -3,6 +3,7 @@
 #include <unistd.h>
 
 #include "reports.h"
+#include "scene.h"
 #include "spectex/batch.h"
 #include "uplift_options.h"
 
@@ -126,6 +127,16 @@ int main(int argc, char** argv) {
                  options.treat_as.push_back(*std::move(rule));
                  return {};
              }});
+    std::optional<std::string> scene_path, scene_output_path;
+    const auto file = [&](const char* name, std::optional<std::string>& out, const char* text) {
+        app.add({.names = name, .metavar = "FILE", .text = text, .set = [&out](std::string_view v) -> Status {
+                     if (v.empty()) return expected("FILE", v);
+                     out = v;
+                     return {};
+                 }});
+    };
+    file("--scene", scene_path, "only the textures that this scene uses as reflectances: .pbrt .xml (Mitsuba 3) .mtlx .gltf .glb .obj .mtl");
+    file("--rewrite-scene", scene_output_path, "write the scene here, with the paths of the converted textures");
     app.choice("--data", "WHAT", &data, {"skip", "copy"}, "what is done with data maps");
     app.group("Run");
     app.integer("--jobs", "N", &jobs, 0, 1024, "files in work at once, at most; 0: as many as threads, which they share");
@@ -168,10 +179,18 @@ int main(int argc, char** argv) {
         if (source == "merge") return merge(app, destination);
         if (verifying) return verify(app, destination);
         if (pruning) return prune(app, source, destination, yes);
+        options.layout = layout == "multipart" ? Layout::multipart : Layout::single;
+        if (scene_output_path && !scene_path) return app.usage_error("--rewrite-scene: needs --scene");
+        std::optional<Scene> scene;
+        if (scene_path) {
+            auto read = read_scene(*scene_path);
+            if (!read) return app.report(read.error(), *scene_path);
+            scene = *std::move(read);
+            if (auto s = apply_scene(app, *scene, source, scene_output_path.has_value(), options, set); !s) return app.report(s.error(), *scene_path);
+        }
         const auto settings = set.settings(app);
         if (!settings) return app.report(settings.error());
         options.settings = *settings;
-        options.layout = layout == "multipart" ? Layout::multipart : Layout::single;
         options.compression = set.output.compression;
         options.data = data == "copy" ? DataMaps::copy : DataMaps::skip;
         options.jobs = static_cast<int>(jobs);
@@ -193,7 +212,16 @@ int main(int argc, char** argv) {
             app.explain(source, rows);
         }
         app.note(fmt::format("{}{}", options.dry_run ? "would be: " : "", ::summary(*r)));
-        app.record(to_json(*r));
+        Json record = to_json(*r);
+        if (scene) {
+            const auto finished = finish_scene(app, *scene, *r, options.dry_run ? std::nullopt : scene_output_path);
+            if (!finished) {
+                app.record(std::move(record));
+                return app.report(finished.error(), *scene_output_path);
+            }
+            record["scene"] = *finished;
+        }
+        app.record(std::move(record));
         return list_failures(app, *r);
     });
 }

@@ -164,12 +164,15 @@ private:
             broken_.push_back(std::move(file));
         }
         const auto names = output_names(found.images);
+        std::set<std::string> only;
+        if (options_.only)
+            for (const auto& path : *options_.only) only.insert(absolute(path));
         for (std::size_t i = 0; i < found.images.size(); ++i) {
             const auto& path = found.images[i];
             const auto hit = [&](const std::string& pattern) { return matches(pattern, path); };
             const bool in = options_.include.empty() || std::any_of(options_.include.begin(), options_.include.end(), hit);
             outputs_.insert(names[i]);
-            if (!in || std::any_of(options_.exclude.begin(), options_.exclude.end(), hit)) {
+            if (!in || (options_.only && !only.contains(absolute(source_ + "/" + path))) || std::any_of(options_.exclude.begin(), options_.exclude.end(), hit)) {
                 ++report_.excluded;
                 continue;
             }
@@ -295,6 +298,14 @@ private:
                 item.changed_row = item.changed_row || !item.before || item.before->use != row.use || !item.before->use_by_option;
                 return true;
             }
+        }
+        if (options_.only) {
+            row.use = texture_use_name(TextureUse::color);
+            row.use_reason = "colour: the scene uses it as a reflectance";
+            row.use_by_option = true;
+            row.classifier = version();
+            item.changed_row = item.changed_row || !item.before || item.before->use != row.use || !item.before->use_by_option;
+            return true;
         }
         if (same_content && !item.before->use_by_option && item.before->classifier == version() && !item.before->use.empty()) {
             row.use = item.before->use;

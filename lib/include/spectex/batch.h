@@ -64,6 +64,8 @@ struct BatchOptions {
     std::string compression;
     bool check_all = false;
     std::vector<std::string> include, exclude;  ///< fnmatch(3) patterns on the relative path or the name; exclude wins
+    /// Only these files, and as colour unless a rule of treat_as says otherwise: the reflectances of a scene.
+    std::optional<std::vector<std::string>> only;
     std::vector<TreatAs> treat_as;
     DataMaps data = DataMaps::skip;
     int jobs = 0;              ///< files at once, at most; 0: as many as threads
