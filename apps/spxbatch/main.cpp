@@ -186,7 +186,7 @@ int main(int argc, char** argv) {
             auto read = read_scene(*scene_path);
             if (!read) return app.report(read.error(), *scene_path);
             scene = *std::move(read);
-            if (auto s = apply_scene(app, *scene, source, scene_output_path.has_value(), options, set); !s) return app.report(s.error(), *scene_path);
+            if (auto s = apply_scene(app, *scene, source, scene_output_path, options, set); !s) return app.report(s.error(), *scene_path);
         }
         const auto settings = set.settings(app);
         if (!settings) return app.report(settings.error());

@@ -17,11 +17,16 @@ std::string real(const std::string& path) {
 
 }  // namespace
 
-Status apply_scene(App& app, const Scene& scene, const std::string& source, bool rewrite, BatchOptions& options, UpliftOptionSet& set) {
+Status apply_scene(App& app, const Scene& scene, const std::string& source, const std::optional<std::string>& rewrite,
+                   BatchOptions& options, UpliftOptionSet& set) {
     const SceneOutput reader = scene_output(scene.format);
     if (rewrite && !reader.readable) return Error{ErrorKind::usage, fmt::format("--rewrite-scene: {}", reader.sentence)};
     if (rewrite && reader.needs_multipart && options.layout != Layout::multipart)
         return Error{ErrorKind::usage, fmt::format("--rewrite-scene: {}", reader.sentence)};
+    // rewrite_scene refuses this as well, but after the work is done.
+    if (rewrite)
+        for (const std::string& file : scene.files)
+            if (same_file(file, *rewrite)) return Error{ErrorKind::usage, fmt::format("--rewrite-scene: {} is one of the scene's own files", *rewrite)};
     const std::string root = real(source) + "/";
     std::set<std::string> only;
     for (const SceneTexture& t : scene.textures) {

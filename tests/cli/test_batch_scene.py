@@ -58,11 +58,12 @@ def test_a_rule_stands_above_the_scene(scene, tmp_path):
 def test_refuses_what_it_cannot_write(scene, tmp_path, scene_file, text, output, code, says):
     (scene / scene_file).write_text(text)
     run = run_tool("spxbatch", scene, tmp_path / "dst", "--scene", scene / scene_file, "--rewrite-scene", scene / output)
-    assert run.returncode == code, run.stderr
+    assert run.code == code, run.stderr
     assert says in run.stderr
     assert (scene / scene_file).read_text() == text
+    assert not (tmp_path / "dst").exists()  # known before any work is done
 
 
 def test_needs_a_scene_to_rewrite(scene, tmp_path):
     run = run_tool("spxbatch", scene, tmp_path / "dst", "--rewrite-scene", tmp_path / "o.pbrt")
-    assert run.returncode == 64 and "--scene" in run.stderr
+    assert run.code == 64 and "--scene" in run.stderr
