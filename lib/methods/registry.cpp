@@ -29,6 +29,7 @@ const std::vector<Entry>& table() {
         burns2020(),
         meng2015(),
         meng2015_matched(),
+        otsu2018(),
         peters2019(),
         peters2019_fourier(),
     };

@@ -33,6 +33,7 @@ Entry macadam1935();
 Entry burns2020();
 Entry meng2015();
 Entry meng2015_matched();
+Entry otsu2018();
 Entry peters2019();
 Entry peters2019_fourier();
 

@@ -218,6 +218,15 @@ TEST(AllCodes, PetersThroughStorage) {
     expect_exact("peters2019:fourier-srgb", {"36"}, 255);
 }
 
+TEST(AllCodes, OtsuErrsOnlyWhereItClamps) {
+    Worst worst;
+    measure("otsu2018", *BandSet::parse("36"), Store::spectral, PixelType::float32, worst, {}, 15);
+    printf("otsu2018 mean CIE76 %.4g max %.4g changed %llu\n", worst.sum / all_codes * 15, worst.max,
+           static_cast<unsigned long long>(worst.changed));
+    EXPECT_GT(worst.changed, 0u);
+    EXPECT_LT(worst.max, 200);
+}
+
 TEST(AllCodes, MengErrsAsItDoes) {
     // As published, for equal energy; Mallett and Yuksel's supplement has a mean of 6.1.
     Worst worst;
