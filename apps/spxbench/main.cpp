@@ -8,6 +8,8 @@
 
 #include "../common/app.h"
 #include "../common/options.h"
+#include "grid.h"
+#include "table.h"
 #include "spectex/evaluation.h"
 #include "spectex/io.h"
 #include "spectex/solvers.h"
@@ -16,12 +18,14 @@ namespace {
 
 using namespace spectex;
 using app::Json;
+using bench::Table;
 
 struct Request {
     std::vector<std::string> what, methods, sets, unseen, stores;
     app::ColorimetryOptions colorimetry;
     std::string folder;
     std::int64_t stride = 1, lines = 500, seed = 1;
+    bench::GridRequest grid;
 };
 
 std::vector<std::string> chosen_methods(const Request& request) {
@@ -31,43 +35,8 @@ std::vector<std::string> chosen_methods(const Request& request) {
     return all;
 }
 
-/// A table as Markdown, for people and for a README.
-class Table {
-public:
-    explicit Table(std::vector<std::string> header) : rows_{std::move(header)} {}
-    void add(std::vector<std::string> row) { rows_.push_back(std::move(row)); }
-    std::string markdown() const {
-        std::string out;
-        for (std::size_t i = 0; i < rows_.size(); ++i) {
-            for (const auto& cell : rows_[i]) out += "| " + cell + " ";
-            out += "|\n";
-            if (i == 0) {
-                for (std::size_t c = 0; c < rows_[0].size(); ++c) out += "|---";
-                out += "|\n";
-            }
-        }
-        return out;
-    }
-
-private:
-    std::vector<std::vector<std::string>> rows_;
-};
-
-/// Prints the table, and keeps table and figures in the folder.
 int deliver(app::App& tool, const Request& request, const std::string& name, const Table& table, Json json) {
-    const auto text = table.markdown();
-    tool.out(text);
-    if (!request.folder.empty()) {
-        std::error_code failed;
-        std::filesystem::create_directory(request.folder, failed);
-        if (failed) return tool.report({ErrorKind::output, fmt::format("{}: {}", request.folder, failed.message())}, request.folder);
-        for (const auto& [suffix, content] : {std::pair<std::string, std::string>{".md", text}, {".json", json.dump(1) + "\n"}}) {
-            const auto path = request.folder + "/" + name + suffix;
-            if (const auto written = write_text_file(path, content); !written) return tool.report(written.error(), path);
-        }
-    }
-    tool.record(std::move(json));
-    return app::exit_ok;
+    return bench::deliver(tool, request.folder, name, table, std::move(json));
 }
 
 Result<std::vector<SampleSet>> training_sets(const Request& request) {
@@ -251,19 +220,28 @@ int summary(app::App& tool, const Request& request, const Colorimetry& c) {
 }  // namespace
 
 int main(int argc, char** argv) {
-    app::App tool({"spxbench", "speed|accuracy|smoothness|methods [options]",
+    app::App tool({"spxbench", "grid|scaling|speed|accuracy|smoothness|methods [options]",
                    "Measures methods: run time against error, relighting of measured reflectances, steps between neighbouring colours.",
-                   {{"spxbench --methods mallett2019,lattice -o bench", "speed and round trip over all 16,777,216 sRGB codes"},
+                   {{"spxbench grid -o bench --corpus textures", "whole files: speed, size and error of methods and stores, with a chart"},
+                    {"spxbench grid -o bench --baseline before.json", "the same as ratios to an earlier run"},
+                    {"spxbench scaling --max-megapixels 256", "cost against pixels, bands and threads"},
+                    {"spxbench speed --methods mallett2019,lattice", "speed and round trip over all 16,777,216 sRGB codes"},
                     {"spxbench methods", "one table of all of this, a row a method"},
                     {"spxbench accuracy", "each set of measured reflectances left out in turn, predicted under 404 lamps"},
                     {"spxbench accuracy --unseen mine.csv", "your own reflectances (wavelength_nm, one column a sample) as well"},
                     {"spxbench smoothness --methods lattice,otsu2018", "largest change of a spectrum from one code to the next"}}});
     Request request;
     request.colorimetry.bands = "380:780:5";
-    tool.positional("WHAT", &request.what, 0, 1, "speed, accuracy, smoothness or methods; speed, where -o is given");
+    tool.positional("WHAT", &request.what, 0, 1, "grid, scaling, speed, accuracy, smoothness or methods; grid, where -o is given");
     tool.list("--methods", "M,...", &request.methods, "methods; all, unless given");
     tool.list("--stores", "S,...", &request.stores,
-              "speed: coefficients-float, coefficients-half, spectral-float, spectral-half; all, unless given");
+              "speed: coefficients-float, coefficients-half, spectral-float, spectral-half; all, unless given. "
+              "grid: the same as KIND-TYPE[:BANDS][:max-error=DE]");
+    tool.list("--kernels", "K,...", &request.grid.kernels, "grid: widest, narrowest: the instruction set; widest, unless given");
+    tool.list("--corpus", "FILE|DIR,...", &request.grid.corpus, "grid: textures, or folders of them; one made for it, unless given");
+    tool.text("--baseline", "FILE", &request.grid.baseline, "grid, scaling: the JSON of an earlier run, to which ratios are printed");
+    tool.integer("--runs", "N", &request.grid.runs, 1, 1000, "grid, scaling: timed runs of each file, of which the median counts");
+    tool.number("--max-megapixels", "N", &request.grid.max_megapixels, 1, 1024, "Mpixel", "scaling: the largest texture");
     tool.integer("--stride", "N", &request.stride, 1, 65536, "speed: takes every N-th of the sRGB codes");
     tool.list("--sets", "S,...", &request.sets, "accuracy: sets of measured reflectances; all, unless given");
     tool.list("--unseen", "FILE,...", &request.unseen, "accuracy: tables of reflectances that are predicted and never learnt from");
@@ -278,19 +256,25 @@ int main(int argc, char** argv) {
     app::add_colorimetry_options(tool, request.colorimetry);
     return tool.main(argc, argv, [&]() -> int {
         if (request.what.empty() && request.folder.empty())
-            return tool.usage_error("expected speed, accuracy, smoothness or methods, or -o DIR");
-        const std::string what = request.what.empty() ? "speed" : request.what[0];
+            return tool.usage_error("expected grid, scaling, speed, accuracy, smoothness or methods, or -o DIR");
+        const std::string what = request.what.empty() ? "grid" : request.what[0];
         const std::map<std::string, int (*)(app::App&, const Request&, const Colorimetry&)> all{
+            {"grid", [](app::App& t, const Request& r, const Colorimetry&) { return bench::grid(t, r.grid); }},
+            {"scaling", [](app::App& t, const Request& r, const Colorimetry&) { return bench::scaling(t, r.grid); }},
             {"speed", speed}, {"accuracy", accuracy}, {"smoothness", smoothness}, {"methods", summary}};
         const auto found = all.find(what);
         if (found == all.end())
-            return tool.usage_error(fmt::format("expected speed, accuracy, smoothness or methods, got '{}'", app::escape(what)));
+            return tool.usage_error(fmt::format("expected grid, scaling, speed, accuracy, smoothness or methods, got '{}'", app::escape(what)));
         for (const auto& id : request.methods)
             if (const auto known = find_method(id); !known) return tool.report(known.error());
         const auto bands = request.colorimetry.band_set();
         if (!bands) return tool.report(bands.error());
         const auto c = Colorimetry::make(request.colorimetry.spec, *bands);
         if (!c) return tool.report(c.error());
+        request.grid.methods = request.methods;
+        request.grid.stores = request.stores;
+        request.grid.folder = request.folder;
+        request.grid.colorimetry = request.colorimetry.spec;
         return found->second(tool, request, *c);
     });
 }

@@ -53,10 +53,46 @@ def test_smoothness_is_the_same_again(run):
     assert linear["max"] < 0.01 < sigmoid["max"]
 
 
+def picture(path, size=48):
+    y, x = np.mgrid[0:size, 0:size]
+    codes = np.stack([x * 5, y * 5, (x + y) * 2], axis=-1).astype(np.uint8)
+    path.write_bytes(b"P6 %d %d 255\n" % (size, size) + codes.tobytes())
+    return path
+
+
+def test_grid_of_time_and_error(tmp_path, run):
+    ours = picture(tmp_path / "ours.ppm")
+    common = ["--methods", "mallett2019,smits1999", "--stores", "coefficients-float,spectral-half:16", "--corpus", ours, "--runs", "1"]
+    out = run("spxbench", "grid", *common, "-o", tmp_path / "made", check=0).stdout
+    assert [r[0] for r in table(out)[1:]] == ["`mallett2019`"] * 2 + ["`smits1999`"] * 2
+    figures = json.loads((tmp_path / "made" / "grid.json").read_text())
+    exact, stored, classic = figures["rows"][0], figures["rows"][1], figures["rows"][2]
+    assert exact["pixels"] == 48 * 48 and exact["channels"] == 3 and stored["channels"] == 16
+    # Float coefficients keep what the method gives; sixteen bands cannot show three lights as its 81 do.
+    assert exact["relight_mean"] < 1e-5 < 1e-2 < stored["relight_mean"]
+    assert exact["max"] < 1e-3 and stored["changed_codes"] == 0 and classic["mean"] > 0.5
+    assert all(r["file_seconds_per_megapixel"] > 0 and r["bytes_per_texel"] > 1 and r["reference_error"] <= 1e-5 for r in figures["rows"])
+    # Nothing on the front is beaten by another row.
+    rows = {r["key"]: (r["file_seconds_per_megapixel"], max(r["relight_mean"], 1e-6)) for r in figures["rows"]}
+    assert figures["front"]
+    for key in figures["front"]:
+        assert not any(o[0] <= rows[key][0] and o[1] < rows[key][1] for o in rows.values()), key
+    assert sorted(p.name for p in (tmp_path / "made").iterdir()) == ["grid.csv", "grid.json", "grid.md", "grid.png", "grid.svg"]
+    svg = (tmp_path / "made" / "grid.svg").read_text()
+    assert svg.count("spectral-half:16<") == 2 and "smits1999" in svg
+    again = run("spxbench", "grid", *common, "--baseline", tmp_path / "made" / "grid.json", check=0).stdout
+    assert "times the baseline" in again and table(again)[1][-1] == "1.00"
+    for arguments, mention in [(["--stores", "octal-half"], "octal-half"), (["--stores", "spectral-half:36:max-error=0"], "max-error"),
+                               (["--kernels", "gpu"], "gpu")]:
+        assert mention in run("spxbench", "grid", "--corpus", ours, *arguments, check=64).stderr
+    (tmp_path / "none.json").write_text("[]")
+    assert "none.json" in run("spxbench", "grid", *common, "--baseline", tmp_path / "none.json", check=2).stderr
+
+
 def test_refuses(tmp_path, run):
     for arguments, mention in [(["speedy"], "speedy"), (["speed", "--methods", "nosuch"], "nosuch"), (["speed", "--stores", "octal"], "octal"),
                                (["accuracy", "--sets", "nowhere"], "nowhere"), (["speed", "--stride", "0"], "--stride"),
-                               (["-o", ""], "folder"), ([], "accuracy")]:
+                               (["-o", ""], "folder"), ([], "grid")]:
         outcome = run("spxbench", *arguments, check=64)
         assert mention in outcome.stderr and outcome.stdout == ""
     bad = tmp_path / "bad.csv"

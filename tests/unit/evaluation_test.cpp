@@ -357,4 +357,11 @@ TEST(Gamut, RefusesWhatItCannotRender) {
     EXPECT_TRUE(refused([](auto& o) { o.panel = 0; }));
 }
 
+TEST(Pareto, FrontIsWhatNothingBeats) {
+    const std::vector<std::array<double, 2>> points{{3, 1}, {1, 4}, {2, 4}, {2, 2}, {3, 1}, {4, 0.5}, {5, 3}, {1, 5}};
+    const auto front = pareto_front(points);
+    EXPECT_EQ(front, (std::vector<std::size_t>{1, 3, 0, 5}));
+    EXPECT_TRUE(pareto_front({}).empty());
+}
+
 }  // namespace

@@ -697,4 +697,22 @@ TEST(CurveColors, DifferAndStayDarkEnoughForWhitePaper) {
 }
 
 }  // namespace
+TEST(Chart, KeepsEveryLabelOffTheOthers) {
+    Chart chart{"time & error", "seconds", "difference", {{"one", {}, {0, 0, 0}, false}}, {{1e-3, 0.5}}, 1e-6};
+    for (int i = 0; i < 12; ++i) chart.series[0].points.push_back({"point " + std::to_string(i), 1e-3 * (1 + 0.001 * i), 0.5});
+    chart.series[0].points.push_back({"exact", 1, 0});
+    const auto svg = draw_chart_svg(chart);
+    ASSERT_TRUE(svg) << svg.error().message;
+    for (int i = 0; i < 12; ++i) EXPECT_NE(svg->find(">point " + std::to_string(i) + "<"), std::string::npos);
+    EXPECT_NE(svg->find("\u2264 10\u207b\u2076"), std::string::npos);
+    EXPECT_NE(svg->find("time &amp; error"), std::string::npos);
+    const auto picture = draw_chart(chart, 0.5);
+    ASSERT_TRUE(picture) << picture.error().message;
+    EXPECT_EQ(picture->width, 600);
+    chart.least_y = 0;
+    EXPECT_FALSE(draw_chart_svg(chart));  // zero has no logarithm
+    chart.series[0].points.clear();
+    EXPECT_FALSE(draw_chart_svg(chart));
+}
+
 }  // namespace spectex

@@ -11,6 +11,7 @@
 #include "spectex/base.h"
 #include "spectex/compare.h"
 #include "spectex/methods.h"
+#include "spectex/pipeline.h"
 #include "spectex/plan.h"
 #include "spectex/spectral.h"
 
@@ -100,5 +101,53 @@ struct GamutRenderingOptions {
 /// rising from tile to tile. The same bytes for any number of threads.
 /// @error usage for a value out of range or no method; that of a method which cannot be made.
 SPECTEX_API Result<GamutRendering> render_gamut(const Colorimetry& colorimetry, const GamutRenderingOptions& options);
+
+/// Which code of a kernel runs.
+enum class KernelChoice {
+    widest,    ///< the widest instruction set of this machine: what the tools do
+    narrowest, ///< the narrowest that this binary holds
+};
+/// The name of the instruction set that a choice means here: "AVX3", "SSE2", "NEON", ...
+SPECTEX_API std::string kernel_choice_name(KernelChoice choice);
+
+/// Run time and error of keeping a corpus one way.
+struct TradeoffRow {
+    std::uint64_t pixels = 0;               ///< of all files
+    std::size_t channels = 0;
+    double store_seconds = 0, reproject_seconds = 0;  ///< computing only, of `computed` pixels
+    std::uint64_t computed = 0;
+    double file_seconds = 0;                ///< reading, computing, compressing and writing all files; median of the runs
+    double bytes_per_texel = 0;             ///< of the files as written
+    DifferenceStatistics roundtrip;         ///< CIEDE2000 of the files, read back, against the textures; p99 the worst file's
+    double relight_mean = 0, relight_max = 0;  ///< CIEDE2000, see measure_tradeoff
+    std::uint64_t peak_bytes = 0;           ///< resident memory while the files were made; 0 where the system does not tell
+    double reference_error = 0;             ///< largest |kernel - reference| in linear RGB over the checked colours
+};
+struct TradeoffOptions {
+    std::vector<std::string> corpus;  ///< textures
+    UpliftSettings settings;
+    std::string compression;          ///< empty: zip
+    KernelChoice kernel = KernelChoice::widest;
+    std::vector<Illuminant> lights;   ///< under which relight_mean is taken
+    std::string scratch;              ///< folder for the files, which are removed again
+    int runs = 3;
+    int threads = 0;
+};
+/// Keeps every file of a corpus with one method and store, and measures time, size and error.
+/// Before anything is timed, up to 4096 colours of each file are stored and reprojected by the kernels and compared with sums
+/// in double over the stored samples themselves: more than 1e-5 apart is an error. The same colours give the relight error:
+/// the stored spectrum under every light against the method's own on 380:780:5, by 1 nm integration of each, both relative
+/// to the white of the latter.
+/// @error usage without corpus, lights or folder; input and output, naming the file; that of the method.
+SPECTEX_API Result<TradeoffRow> measure_tradeoff(const TradeoffOptions& options);
+
+/// Writes a texture of width x height sRGB codes by the suffix of its name: neighbouring pixels have neighbouring colours,
+/// and grain from a hash of their place, so that compression finds what it finds in a photograph. The same bytes anywhere.
+/// @error output.
+SPECTEX_API Status write_test_texture(const std::string& path, int width, int height);
+
+/// Points that no other beats: none is as small in both and smaller in one. Ascending in x.
+/// @param points  [n] of x, y.  @return indices.
+SPECTEX_API std::vector<std::size_t> pareto_front(std::span<const std::array<double, 2>> points);
 
 }  // namespace spectex

@@ -149,4 +149,29 @@ SPECTEX_API Rgb8 curve_color(std::size_t i);
 SPECTEX_API Result<std::string> plot_spectra_svg(std::span<const Curve> curves, std::string_view title,
                                                  std::string_view y_label);
 
+/// A point of a chart with logarithmic axes.
+struct ChartPoint {
+    std::string label;  ///< up to 64 characters; empty: none
+    double x = 0, y = 0;
+};
+/// Points of one kind, in one colour.
+struct ChartSeries {
+    std::string label;  ///< for the legend; up to 64 characters
+    std::vector<ChartPoint> points;
+    Rgb8 color{0, 0, 0};
+    bool joined = false;  ///< by lines, in the order of the points
+};
+/// A chart on two logarithmic axes, as figures of cost against error are.
+struct Chart {
+    std::string title, x_label, y_label;
+    std::vector<ChartSeries> series;
+    std::vector<std::array<double, 2>> front;  ///< drawn as a staircase below and left of which nothing lies; ascending x
+    double least_y = 0;  ///< smaller values, zero among them, stand on the lower edge, whose tick says "<="; 0: none are
+};
+/// As an SVG document with editable text. Every label stands near its point and off the others, joined to it by a thin line
+/// where it had to move. @error usage, without a point, or for values that are not finite or, but for least_y, not positive.
+SPECTEX_API Result<std::string> draw_chart_svg(const Chart& chart);
+/// The same as a picture. @param scale  of the 1200 x 800 units that the SVG has, 0.25 to 8.
+SPECTEX_API Result<Picture> draw_chart(const Chart& chart, double scale);
+
 }  // namespace spectex
