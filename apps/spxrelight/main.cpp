@@ -57,18 +57,56 @@ Status bake_to(App& app, const std::string& path, const std::vector<std::string>
     return {};
 }
 
+int sheet_of(App& app, const std::vector<std::string>& inputs, const std::string& sheet, RelightOptions& options,
+             const std::string& input_colorspace) {
+    if (inputs.size() != 1) return app.usage_error(fmt::format("--contact-sheet: {} inputs, expected one", inputs.size()));
+    for (const char* option : {"--output-colorspace", "--half", "--float", "--uint16", "--compression"})
+        if (app.given(option)) return app.usage_error(fmt::format("--contact-sheet is 8-bit sRGB: {} does not apply", option));
+    const NamedOutput outputs[] = {{"--contact-sheet", sheet}};
+    if (auto s = check_outputs(inputs, outputs); !s) return app.report(s.error());
+    const auto progress = app.progress(inputs[0]);
+    options.job = job_options(app, progress, input_colorspace);
+    if (app.explaining()) {
+        const auto lines = explain_relight(inputs[0], {}, options);
+        if (!lines) return app.report(lines.error());
+        explain(app, inputs[0], *lines);
+    }
+    const auto report = contact_sheet(inputs[0], sheet, options);
+    if (!report) return app.report(report.error(), inputs[0]);
+    warn_about(app, report->input);
+    Json json{{"input", inputs[0]}};
+    json.update(to_json(report->input));
+    json["output"] = report->output;
+    json["sheet_width"] = report->width;
+    json["sheet_height"] = report->height;
+    json["metric"] = "ciede2000";
+    json["difference"] = report->note;
+    json["tiles"] = Json::array();
+    for (const auto& t : report->tiles) {
+        const std::string kelvin = t.kelvin ? fmt::format("{:.0f} K", *t.kelvin) : "no CCT";
+        app.out(fmt::format("{:<14} {:>8}  Duv {:+.4f}  from D65: mean {:.4g}  max {:.4g} at {},{}{}\n", escape(t.illuminant), kelvin, t.duv,
+                            t.mean, t.max, t.max_at[0], t.max_at[1],
+                            t.clipped > 0 ? fmt::format("  {} samples of the tile clipped", t.clipped) : ""));
+        json["tiles"].push_back({{"illuminant", t.illuminant}, {"title", t.title}, {"cct_kelvin", t.kelvin ? Json(*t.kelvin) : Json()},
+                                 {"duv", t.duv}, {"mean", t.mean}, {"max", t.max}, {"max_at", t.max_at}, {"clipped", t.clipped}});
+    }
+    app.record(std::move(json));
+    return exit_ok;
+}
+
 }  // namespace
 
 int main(int argc, char** argv) {
-    App app({"spxrelight", "IN... -i ILLUMINANT[,ILLUMINANT...] -o OUT|DIR [options]\n-i ILLUMINANT[,ILLUMINANT...] --bake FILE [options]",
+    App app({"spxrelight", "IN... -i ILLUMINANT[,ILLUMINANT...] -o OUT|DIR [options]\n-i ILLUMINANT[,ILLUMINANT...] --bake FILE [options]\nIN -i ILLUMINANT[,ILLUMINANT...] --contact-sheet OUT.png [options]",
              "Reprojects textures, coefficient EXRs and spectral EXRs under other illuminants and observers.",
              {{"spxrelight bricks.png -i A -o bricks_a.png", "an sRGB texture as CIE illuminant A shows it"},
               {"spxrelight bricks.exr -i A,FL11,D:5003 -o 'bricks_{illuminant}.png'", "three lights in one pass"},
               {"spxrelight bricks.exr -i lamp.csv --adapt cat16 -o out.exr", "a measured lamp, its white adapted"},
+              {"spxrelight bricks.png -i A,D50,FL2,FL11 --contact-sheet sheet.png", "one labelled picture of many lights"},
               {"spxrelight -i A,FL11 --bake show.ocio", "looks and colour spaces for Nuke, Blender, oiiotool: no plug-in"},
               {"spxrelight --list-illuminants led", "what can be named"}}});
     std::vector<std::string> arguments, names;
-    std::string output, input_colorspace, adapt = "none", normalize = "luminance", list_pattern, relight_observer;
+    std::string output, sheet, input_colorspace, adapt = "none", normalize = "luminance", list_pattern, relight_observer;
     std::string bake_path;
     double max_error = default_bake_error;
     bool listing = false;
@@ -102,6 +140,8 @@ int main(int argc, char** argv) {
     app.number("--max-error", "DE", &max_error, 0, 100, "CIE76", "largest difference of a baked method that no table holds exactly");
     app.group("Output");
     app.text("-o,--output", "OUT|DIR", &output, "image to write, with {illuminant} for several lights, or an existing folder");
+    app.text("--contact-sheet", "OUT.png", &sheet,
+             "instead of -o: one picture of all lights, each with its colour temperature and its difference from D65");
     add_output_options(app, out);
     add_input_colorspace(app, input_colorspace);
     add_method_options(app, method);
@@ -114,9 +154,10 @@ int main(int argc, char** argv) {
         }
         const bool baking = !bake_path.empty();
         if (baking && arguments.empty() && !output.empty()) return app.usage_error("-o is given, but no IN to relight");
-        const bool relighting = !baking || !output.empty();
+        const bool relighting = !baking || !output.empty() || !sheet.empty();
         if (relighting && arguments.empty()) return app.usage_error("IN is missing: expected an RGB texture, a coefficient EXR or a spectral EXR");
-        if (relighting && output.empty()) return app.usage_error("-o is missing: expected an image to write or an existing folder");
+        if (relighting && output.empty() && sheet.empty()) return app.usage_error("-o is missing: expected an image to write or an existing folder");
+        if (!output.empty() && !sheet.empty()) return app.usage_error("--contact-sheet excludes -o: expected one of them");
 
         RelightOptions options;
         options.method = method.method;
@@ -151,6 +192,7 @@ int main(int argc, char** argv) {
         }
         const auto inputs = app.inputs(arguments);
         if (!inputs) return app.report(inputs.error());
+        if (!sheet.empty()) return sheet_of(app, *inputs, sheet, options, input_colorspace);
         const auto jobs = plan_outputs(*inputs, output, ".exr", shown);
         if (!jobs) return app.report(jobs.error());
         return app.each(*jobs, [&](const Job& job) -> Result<Json> {

@@ -4,29 +4,12 @@
 #include <atomic>
 
 #include "kernels/convert.h"
-#include "pipeline/roundtrip.h"
-#include "pipeline/source.h"
+#include "pipeline/relight_setup.h"
 #include "pipeline/strips.h"
 
 namespace spectex {
-namespace {
 
-using namespace pipeline;
-
-bool is_integer(PixelType type) { return type == PixelType::uint8 || type == PixelType::uint16; }
-
-/// Everything that one pass needs, whatever the input holds.
-struct RelightSetup {
-    std::unique_ptr<StripSource> source;
-    std::shared_ptr<const Model> model;  ///< of an RGB texture, whose colours become its coefficients
-    std::optional<RelightPlan> plan;
-    RgbSpace space;  ///< of the plan's output
-    GamutPolicy gamut = GamutPolicy::clip;
-    FileKind kind = FileKind::image;
-    bool emissive = false;
-
-    static Result<RelightSetup> make(const std::string& input, const RelightOptions& options);
-};
+namespace pipeline {
 
 Result<RelightSetup> RelightSetup::make(const std::string& input, const RelightOptions& options) {
     const auto kind = probe(input);
@@ -52,6 +35,7 @@ Result<RelightSetup> RelightSetup::make(const std::string& input, const RelightO
         setup.model = *std::move(model);
         request.observer = options.observer.value_or(colorimetry->observer().id);
         request.output_space = setup.space.name;
+        setup.observer = request.observer;
         auto plan = RelightPlan::for_model(setup.model, request);
         if (!plan) return std::move(plan).error();
         setup.plan = *std::move(plan);
@@ -69,6 +53,7 @@ Result<RelightSetup> RelightSetup::make(const std::string& input, const RelightO
     setup.space = *space;
     request.observer = options.observer.value_or(info->colorimetry.observer);
     request.output_space = space->name;
+    setup.observer = request.observer;
     auto plan = [&]() -> Result<RelightPlan> {
         if (info->model) return RelightPlan::for_model(info->model, request);
         auto bands = BandSet::make(info->header.wavelengths_nm);
@@ -83,6 +68,54 @@ Result<RelightSetup> RelightSetup::make(const std::string& input, const RelightO
     setup.source = *std::move(source);
     return setup;
 }
+
+Status RelightSetup::light(const RawStrip& raw, int y, std::size_t begin, std::size_t n, Buffers& buffers, std::vector<float*>& out,
+                           Counts& counts) const {
+    std::vector<const float*> in;
+    source->decode(raw, begin, n, buffers.scratch.decode, in);
+    if (model) {
+        std::array<float*, 3> rgb{};
+        for (std::size_t c = 0; c < 3; ++c) {
+            auto& plane = buffers.scratch.rgb[c];
+            plane.resize(std::max(plane.size(), n));
+            std::copy_n(in[c], n, plane.data());
+            rgb[c] = plane.data();
+        }
+        const std::string path = source->report().path;
+        if (auto s = map_colors(rgb, n, gamut, model->colorimetry(), {path, y, begin, source->geometry().width}, counts); !s)
+            return s;
+        in.assign(rgb.begin(), rgb.end());
+    }
+    const std::size_t images = plan->images();
+    buffers.lit.resize(3 * images);
+    out.clear();
+    for (auto& plane : buffers.lit) {
+        plane.resize(std::max(plane.size(), n));
+        out.push_back(plane.data());
+    }
+    if (model)
+        plan->execute_colors({in[0], in[1], in[2]}, n, out);
+    else
+        plan->execute(in, n, out);
+    for (std::size_t k = 0; k < images; ++k) {
+        // A stored sample that is not finite makes its pixel so, whatever the light.
+        std::uint64_t replaced = 0;
+        const auto bad = replace_nonfinite({out[3 * k], out[3 * k + 1], out[3 * k + 2]}, n, replaced);
+        if (k == 0 && replaced > 0 && !model) {
+            counts.nonfinite += replaced;
+            counts.first_nonfinite = std::min(counts.first_nonfinite, begin + bad);
+        }
+    }
+    return {};
+}
+
+}  // namespace pipeline
+
+namespace {
+
+using namespace pipeline;
+
+bool is_integer(PixelType type) { return type == PixelType::uint8 || type == PixelType::uint16; }
 
 struct OutputFormat {
     PixelType type = PixelType::half;
@@ -202,46 +235,17 @@ Result<RelightReport> relight(const std::string& input, const std::vector<std::s
                 b.samples[k].resize(pixels * channels.size() * pixel_bytes(targets[k]->format.type));
             FirstError error;
             for_row_groups(n, width, [&](int first, int count) {
-                thread_local Scratch scratch;
-                thread_local std::vector<std::vector<float>> lit;
+                thread_local RelightSetup::Buffers buffers;
                 const std::size_t begin = static_cast<std::size_t>(first) * static_cast<std::size_t>(width);
                 const std::size_t size = static_cast<std::size_t>(count) * static_cast<std::size_t>(width);
-                std::vector<const float*> in;
-                setup.source->decode(b.raw, begin, size, scratch.decode, in);
                 Counts counts;
-                if (setup.model) {
-                    std::array<float*, 3> rgb{};
-                    for (std::size_t c = 0; c < 3; ++c) {
-                        scratch.rgb[c].resize(std::max(scratch.rgb[c].size(), size));
-                        std::copy_n(in[c], size, scratch.rgb[c].data());
-                        rgb[c] = scratch.rgb[c].data();
-                    }
-                    if (auto mapped = map_colors(rgb, size, setup.gamut, setup.model->colorimetry(), {input, y, begin, width}, counts);
-                        !mapped) {
-                        error.check(mapped);
-                        return;
-                    }
-                    in.assign(rgb.begin(), rgb.end());
-                }
-                lit.resize(3 * images);
                 std::vector<float*> out;
-                for (auto& plane : lit) {
-                    plane.resize(std::max(plane.size(), size));
-                    out.push_back(plane.data());
+                if (auto lit = setup.light(b.raw, y, begin, size, buffers, out, counts); !lit) {
+                    error.check(lit);
+                    return;
                 }
-                if (setup.model)
-                    setup.plan->execute_colors({in[0], in[1], in[2]}, size, out);
-                else
-                    setup.plan->execute(in, size, out);
                 for (std::size_t k = 0; k < images; ++k) {
                     const std::array<float*, 3> rgb{out[3 * k], out[3 * k + 1], out[3 * k + 2]};
-                    // A stored sample that is not finite makes its pixel so, whatever the light.
-                    std::uint64_t replaced = 0;
-                    const auto bad = replace_nonfinite(rgb, size, replaced);
-                    if (k == 0 && replaced > 0 && !setup.model) {
-                        counts.nonfinite += replaced;
-                        counts.first_nonfinite = std::min(counts.first_nonfinite, begin + bad);
-                    }
                     Target& target = *targets[k];
                     if (!target.transform->is_identity()) target.transform->apply(rgb, size);
                     const PixelType type = target.format.type;

@@ -4,6 +4,7 @@
 #include <cstdlib>
 #include <filesystem>
 #include <fstream>
+#include <functional>
 #include <random>
 
 #include "reference.h"
@@ -147,6 +148,77 @@ TEST(Illuminants, PlanckAndAAreTheSameBody) {
 TEST(Illuminants, MixtureIsOfEqualLuminance) {
     const auto a = white_of("A"), f = white_of("FL11"), mix = white_of("0.7*A+0.3*FL11");
     for (std::size_t i = 0; i < 3; ++i) EXPECT_NEAR(mix[i], 0.7 * a[i] + 0.3 * f[i], 2e-3 * a[i]);  // FL11's steps to zero at 380 and 780
+}
+
+/// Another way to the temperature, in long double: golden sections of the distance itself by log T, no derivative.
+reference::Real nearest_temperature(const std::function<reference::Real(int)>& power) {
+    using Real = reference::Real;
+    const auto cmf = reference::read_csv(luts + "/cie/cie1931_2deg_360-830-1.csv");
+    const auto uv = [&](const auto& light) {
+        Real x = 0, y = 0, z = 0;
+        for (std::size_t i = 0; i < cmf.nm.size(); ++i) {
+            const Real s = light(static_cast<int>(cmf.nm[i]));
+            x += s * cmf.column.at("x_bar")[i];
+            y += s * cmf.column.at("y_bar")[i];
+            z += s * cmf.column.at("z_bar")[i];
+        }
+        return std::array<Real, 2>{4 * x / (x + 15 * y + 3 * z), 6 * y / (x + 15 * y + 3 * z)};
+    };
+    const auto wanted = uv(power);
+    const auto distance = [&](Real log_kelvin) {
+        const Real t = std::exp(log_kelvin);
+        const auto p = uv([&](int nm) {
+            const Real metres = nm * 1e-9L;
+            return std::pow(metres, -5.0L) / std::expm1(1.438776877e-2L / (metres * t)) * 1e-30L;
+        });
+        return std::hypot(p[0] - wanted[0], p[1] - wanted[1]);
+    };
+    Real best = 7, low = std::log(1000.0L), high = std::log(60000.0L);
+    for (Real x = low; x < high; x += 0.1L)
+        if (distance(x) < distance(best)) best = x;
+    low = best - 0.1L;
+    high = best + 0.1L;
+    const Real ratio = (std::sqrt(5.0L) - 1) / 2;
+    while (high - low > 1e-9L) {
+        const Real a = high - ratio * (high - low), b = low + ratio * (high - low);
+        (distance(a) < distance(b) ? high : low) = distance(a) < distance(b) ? b : a;
+    }
+    return std::exp((low + high) / 2);
+}
+
+TEST(ColorTemperature, AgreesWithAnotherSearchAndWithTheCie) {
+    // Nominal temperatures of CIE 15:2018, tables 6 and 10.1; those of the F series are rounded to 10 K at best, and their tables
+    // at 5 nm give up to 1% otherwise.
+    for (const auto& [name, kelvin, tolerance] : std::vector<std::tuple<const char*, double, double>>{
+             {"A", 2856, 1}, {"D50", 5003, 3}, {"D55", 5503, 3}, {"D65", 6504, 3}, {"D75", 7504, 4}, {"FL1", 6430, 20}, {"FL2", 4230, 20},
+             {"FL3", 3450, 20}, {"FL4", 2940, 20}, {"FL7", 6500, 20}, {"FL11", 4000, 20}, {"FL12", 3000, 20}, {"E", 5455, 2}}) {
+        const auto light = parse_illuminant(name);
+        ASSERT_TRUE(light);
+        const auto cct = correlated_color_temperature(*light);
+        ASSERT_TRUE(cct && cct->kelvin) << name;
+        EXPECT_NEAR(*cct->kelvin, kelvin, tolerance) << name;
+        if (std::string_view(name) != "A" && std::string_view(name) != "D65" && std::string_view(name) != "FL11") continue;
+        const auto other = nearest_temperature([&](int nm) { return static_cast<reference::Real>(light->power.at(nm, Extrapolation::zero)); });
+        // The search of a minimum ends where its value no longer changes, at the root of rounding: 2e-9 of log T here.
+        EXPECT_NEAR(*cct->kelvin / static_cast<double>(other), 1, 1e-7) << name;
+    }
+}
+
+TEST(ColorTemperature, OfAPlanckianRadiatorIsItsOwn) {
+    for (const double kelvin : {1001.0, 1500.0, 2856.0, 5000.0, 12345.0, 1e5, 9.9e5}) {
+        const auto cct = correlated_color_temperature(*parse_illuminant("P:" + std::to_string(kelvin)));
+        ASSERT_TRUE(cct && cct->kelvin) << kelvin;
+        // Chromaticity moves by 1e-16 from rounding; at the hot end it moves 1e-10 per relative 1e-3 of temperature.
+        EXPECT_NEAR(*cct->kelvin / kelvin, 1, kelvin > 2e5 ? 1e-6 : 1e-9);
+        EXPECT_NEAR(cct->duv, 0, 1e-12);
+    }
+    for (const char* colored : {"P:600", "lamp.csv"}) {
+        auto light = parse_illuminant(colored);
+        if (!light) light = Illuminant{"laser", "", SpectralDistribution::make({530, 532, 534}, {0, 1, 0}).value()};
+        const auto cct = correlated_color_temperature(*light);
+        ASSERT_TRUE(cct) << cct.error().message;
+        EXPECT_FALSE(cct->kelvin) << colored;
+    }
 }
 
 class IlluminantFiles : public ::testing::Test {

@@ -199,6 +199,28 @@ struct BakeReport {
 SPECTEX_API Result<BakeReport> bake(const std::vector<std::string>& outputs, const RelightOptions& options,
                                     double max_error = default_bake_error);
 
+/// One texture under many lights, side by side.
+struct ContactSheetReport {
+    InputReport input;
+    std::string output, note;  ///< the note says what the differences are
+    int width = 0, height = 0;
+    struct Tile {
+        std::string illuminant, title;
+        std::optional<double> kelvin;  ///< correlated_color_temperature
+        double duv = 0;
+        double mean = 0, max = 0;      ///< CIEDE2000 over all pixels of the texture
+        std::array<std::int64_t, 2> max_at{-1, -1};
+        std::uint64_t clipped = 0;     ///< samples of the tile that sRGB does not hold
+    };
+    std::vector<Tile> tiles;
+};
+/// A labelled picture of one tile per light: name, correlated colour temperature, and mean and largest CIEDE2000 between
+/// the texture relit under the light and relit under D65 (both by the same method, observer, adaptation and
+/// normalisation), both relative to the white of D65. Tiles are box-filtered in linear light and shown in sRGB.
+/// @param output  a picture format of 8 bits. @error usage for 0 or more than 1000 lights, and for emission.
+SPECTEX_API Result<ContactSheetReport> contact_sheet(const std::string& input, const std::string& output,
+                                                     const RelightOptions& options);
+
 struct DifferenceOptions {
     JobOptions job;
     Metric metric = Metric::ciede2000;

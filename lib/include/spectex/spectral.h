@@ -171,6 +171,17 @@ SPECTEX_API Result<TristimulusWeights> tristimulus_weights(const BandSet& bands,
 /// The same for emission: a spectral radiance in bands against the observer alone.
 SPECTEX_API TristimulusWeights emission_weights(const BandSet& bands, const Observer& observer);
 
+/// Correlated colour temperature of a light.
+struct ColorTemperature {
+    static constexpr double least_kelvin = 1000, most_kelvin = 1e6;
+    std::optional<double> kelvin;  ///< none where the light lies farther than 0.05 from the locus, or beyond its ends
+    double duv = 0;                ///< signed distance from the Planckian locus in CIE 1960 u, v: above it positive
+};
+/// The temperature of the Planckian radiator whose chromaticity by CIE 1931 is nearest in CIE 1960 u, v: bracketed on the
+/// locus as integrated at 1 nm, and bisected to rounding.
+/// Source: CIE 15:2018, 9.4. @error input, when nobody sees the light.
+SPECTEX_API Result<ColorTemperature> correlated_color_temperature(const Illuminant& illuminant);
+
 /// Which RGB-to-XYZ matrix a Colorimetry uses.
 enum class RgbMatrix {
     integrated,  ///< from the primaries and the white integrated on this very grid: r = 1 is exactly (1,1,1)
