@@ -8,19 +8,26 @@ using namespace spectex;
 using namespace spectex::app;
 
 int main(int argc, char** argv) {
-    App app({"spxdiff", "A B | --roundtrip IN... [options]",
-             "Measures colour differences, A the reference; or the round trip of textures through spectra and back.",
+    App app({"spxdiff", "A B [options]\n--roundtrip IN... [options]\n--metamerism IN... -i ILLUMINANT[,...] [options]",
+             "Measures colour differences, A the reference; or the round trip of textures through spectra and back; or how far "
+             "methods disagree on textures under other lights.",
              {{"spxdiff a.png b.png --fail-max 1", "exit 1 when some pixel differs by more than 1"},
               {"spxdiff --roundtrip bricks.png --store spectral --bands 36 --half", "the whole path through 36 half bands"},
+              {"spxdiff --metamerism bricks.png -i A,FL11 --map map.exr", "where no method is to be trusted under these lights"},
               {"spxdiff a.exr b.exr --metric cie76 --map map.exr", "a map for spxheat"}}});
     std::vector<std::string> arguments;
-    bool roundtrip = false;
+    bool roundtrip = false, metamerism = false;
+    std::vector<std::string> light_names, method_names{"mallett2019", "smits1999:exact", "jakob2019", "lattice"};
     std::string metric_text = "ciede2000", map, input_colorspace;
     std::optional<double> fail_mean, fail_p99, fail_max;
     UpliftOptionSet set;
-    app.positional("FILE", &arguments, 1, App::unlimited, "A and B; or the textures of --roundtrip");
+    app.positional("FILE", &arguments, 1, App::unlimited, "A and B; or the textures of --roundtrip or --metamerism");
     app.group("Difference");
     app.flag("--roundtrip", &roundtrip, "uplift, store and reproject in memory, against the linearised input");
+    app.flag("--metamerism", &metamerism, "per pixel the largest difference between methods under the lights of -i, against each light's white");
+    app.list("-i,--lights", "ILLUMINANT[,...]", &light_names, "with --metamerism, the lights: names, D:KELVIN, P:KELVIN, files, mixtures");
+    app.list("--methods", "M[,...]", &method_names, "with --metamerism, the methods to hold against each other; the exact ones agree under the "
+             "reference light");
     app.choice("--metric", "METRIC", &metric_text, {"cie76", "cie94", "ciede2000", "cmc", "din99", "itp", "oklab"},
                "colour difference: CIE94 graphic arts, CMC 2:1");
     app.text("--map", "MAP.exr", &map, "write the differences as a float EXR of one channel");
@@ -36,10 +43,16 @@ int main(int argc, char** argv) {
         if (!metric) return app.report(metric.error());
         const auto inputs = app.inputs(arguments);
         if (!inputs) return app.report(inputs.error());
-        if (!roundtrip && inputs->size() != 2)
-            return app.usage_error(fmt::format("{} files: expected two, A and B; or --roundtrip", inputs->size()));
+        if (roundtrip && metamerism) return app.usage_error("--roundtrip excludes --metamerism: expected one of them");
+        if (!roundtrip && !metamerism && inputs->size() != 2)
+            return app.usage_error(fmt::format("{} files: expected two, A and B; or --roundtrip or --metamerism", inputs->size()));
+        if (metamerism)
+            for (const char* option : {"--method", "--store", "--half", "--float", "--compression"})
+                if (app.given(option)) return app.usage_error(fmt::format("{} does not apply to --metamerism, which stores nothing and takes --methods", option));
+        for (const char* option : {"--lights", "--methods"})
+            if (!metamerism && app.given(option)) return app.usage_error(fmt::format("{} needs --metamerism", option));
         if (!map.empty()) {
-            if (roundtrip && inputs->size() > 1) return app.usage_error("--map: expected one input with it");
+            if ((roundtrip || metamerism) && inputs->size() > 1) return app.usage_error("--map: expected one input with it");
             const NamedOutput outputs[] = {{"--map", map}};
             if (auto s = check_outputs(*inputs, outputs); !s) return app.report(s.error());
         }
@@ -67,7 +80,59 @@ int main(int argc, char** argv) {
                                 report.white));
         };
         int code = exit_ok;
-        if (roundtrip) {
+        if (metamerism) {
+            MetamerismOptions lit;
+            lit.metric = *metric;
+            lit.map = map;
+            lit.methods = method_names;
+            lit.colorimetry = set.colorimetry.spec;
+            lit.gamut = set.method.gamut;
+            for (const auto& id : method_names)
+                if (auto found = find_method(id); !found) return app.report({found.error().kind, "--methods: " + found.error().message});
+            for (const auto& name : light_names) {
+                auto light = parse_illuminant(name);
+                if (!light) return app.report(light.error());
+                lit.illuminants.push_back(*std::move(light));
+            }
+            if (lit.illuminants.empty()) return app.usage_error("--metamerism: -i is missing: expected lights such as -i A,FL11");
+            if (app.given("--bands")) {
+                auto bands = set.colorimetry.band_set();
+                if (!bands) return app.report(bands.error());
+                lit.bands = *std::move(bands);
+            }
+            std::vector<Job> jobs;
+            for (const auto& input : *inputs) jobs.push_back({input, {}});
+            code = app.each(jobs, [&](const Job& job) -> Result<Json> {
+                const auto progress = app.progress(job.input);
+                lit.job = job_options(app, progress, input_colorspace);
+                const auto report = compare_metamerism(job.input, lit);
+                if (!report) return report.error();
+                explain(app, job.input, report->explanation);
+                warn_about(app, report->input);
+                const auto& s = report->statistics;
+                const auto& w = report->worst;
+                app.out(fmt::format("{}: {} of {} methods under {} lights: {}\n  rms {:.4g}  p50 {:.4g}  p95 {:.4g}  pixels {}\n"
+                                    "  worst: {} against {} under {}\n  reference white: {}\n",
+                                    escape(job.input), metric_title(*metric), lit.methods.size(), lit.illuminants.size(), summary(s), s.rms,
+                                    s.p50, s.p95, s.pixels, w.methods[0], w.methods[1], escape(w.illuminant), report->white));
+                judge(s, job.input);
+                const auto combination = [](const MetamerismReport::Combination& c) {
+                    return Json{{"illuminant", c.illuminant}, {"methods", c.methods}, {"pixels", c.pixels}, {"max", c.max}};
+                };
+                Json json = to_json(report->input);
+                json.update(to_json(s, *metric));
+                json["methods"] = lit.methods;
+                json["illuminants"] = Json::array();
+                for (const auto& light : lit.illuminants) json["illuminants"].push_back(light.name);
+                json["max_methods"] = w.methods;
+                json["max_illuminant"] = w.illuminant;
+                json["largest"] = Json::array();
+                for (const auto& c : report->combinations) json["largest"].push_back(combination(c));
+                json["white"] = report->white;
+                if (!map.empty()) json["map"] = map;
+                return json;
+            });
+        } else if (roundtrip) {
             const auto settings = set.settings(app);
             if (!settings) return app.report(settings.error());
             std::vector<Job> jobs;

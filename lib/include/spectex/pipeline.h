@@ -245,6 +245,36 @@ SPECTEX_API Result<DifferenceReport> compare_files(const std::string& a, const s
 SPECTEX_API Result<DifferenceReport> compare_roundtrip(const std::string& input, const UpliftSettings& settings,
                                                        const DifferenceOptions& options);
 
+struct MetamerismOptions {
+    JobOptions job;
+    Metric metric = Metric::ciede2000;
+    std::string map;  ///< EXR of the differences, one float channel Y; empty: none
+    std::vector<std::string> methods;
+    std::vector<Illuminant> illuminants;
+    ColorimetrySpec colorimetry;
+    BandSet bands;  ///< on which the methods are solved
+    GamutPolicy gamut = GamutPolicy::clip;
+};
+
+struct MetamerismReport {
+    InputReport input;
+    DifferenceStatistics statistics;
+    std::string white;
+    struct Combination {
+        std::string illuminant;
+        std::array<std::string, 2> methods;
+        std::uint64_t pixels = 0;  ///< for which this is the worst
+        double max = 0;            ///< over these pixels
+    };
+    Combination worst;                       ///< where the largest difference of all was met
+    std::vector<Combination> combinations;  ///< those that are the worst of some pixel, most pixels first
+    Explanation explanation;
+};
+/// Per pixel of an RGB texture, the largest difference between any two methods' spectra of its colour under any of the
+/// lights, against the white of each: where no uplift can be trusted. The first method of a pair is the reference.
+/// @error usage for fewer than two methods or no light; input for files that hold spectra.
+SPECTEX_API Result<MetamerismReport> compare_metamerism(const std::string& input, const MetamerismOptions& options);
+
 struct HeatmapOptions {
     JobOptions job;
     Metric metric = Metric::cie76;        ///< when two images are given
