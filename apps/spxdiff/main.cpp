@@ -48,7 +48,8 @@ int main(int argc, char** argv) {
             return app.usage_error(fmt::format("{} files: expected two, A and B; or --roundtrip or --metamerism", inputs->size()));
         if (metamerism)
             for (const char* option : {"--method", "--store", "--half", "--float", "--compression"})
-                if (app.given(option)) return app.usage_error(fmt::format("{} does not apply to --metamerism, which stores nothing and takes --methods", option));
+                if (app.given(option))
+                    return app.usage_error(fmt::format("{} does not apply to --metamerism, which stores nothing and takes --methods", option));
         for (const char* option : {"--lights", "--methods"})
             if (!metamerism && app.given(option)) return app.usage_error(fmt::format("{} needs --metamerism", option));
         if (!map.empty()) {
@@ -111,9 +112,10 @@ int main(int argc, char** argv) {
                 warn_about(app, report->input);
                 const auto& s = report->statistics;
                 const auto& w = report->worst;
-                app.out(fmt::format("{}: {} of {} methods under {} lights: {}\n  rms {:.4g}  p50 {:.4g}  p95 {:.4g}  pixels {}\n"
+                app.out(fmt::format("{}: {} of {} methods under {} light{}: {}\n  rms {:.4g}  p50 {:.4g}  p95 {:.4g}  pixels {}\n"
                                     "  worst: {} against {} under {}\n  reference white: {}\n",
-                                    escape(job.input), metric_title(*metric), lit.methods.size(), lit.illuminants.size(), summary(s), s.rms,
+                                    escape(job.input), metric_title(*metric), lit.methods.size(), lit.illuminants.size(),
+                                    lit.illuminants.size() == 1 ? "" : "s", summary(s), s.rms,
                                     s.p50, s.p95, s.pixels, w.methods[0], w.methods[1], escape(w.illuminant), report->white));
                 judge(s, job.input);
                 const auto combination = [](const MetamerismReport::Combination& c) {

@@ -97,7 +97,8 @@ int sheet_of(App& app, const std::vector<std::string>& inputs, const std::string
 }  // namespace
 
 int main(int argc, char** argv) {
-    App app({"spxrelight", "IN... -i ILLUMINANT[,ILLUMINANT...] -o OUT|DIR [options]\n-i ILLUMINANT[,ILLUMINANT...] --bake FILE [options]\nIN -i ILLUMINANT[,ILLUMINANT...] --contact-sheet OUT.png [options]",
+    App app({"spxrelight", "IN... -i ILLUMINANT[,ILLUMINANT...] -o OUT|DIR [options]\n-i ILLUMINANT[,ILLUMINANT...] --bake FILE [options]\n"
+             "IN -i ILLUMINANT[,ILLUMINANT...] --contact-sheet OUT.png [options]",
              "Reprojects textures, coefficient EXRs and spectral EXRs under other illuminants and observers.",
              {{"spxrelight bricks.png -i A -o bricks_a.png", "an sRGB texture as CIE illuminant A shows it"},
               {"spxrelight bricks.exr -i A,FL11,D:5003 -o 'bricks_{illuminant}.png'", "three lights in one pass"},

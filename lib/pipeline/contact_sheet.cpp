@@ -17,6 +17,8 @@ using namespace pipeline;
 /// Pixels of a tile, and what those of all tiles may take together: three floats for each.
 constexpr double tile_pixels = 256.0 * 256.0, all_tile_pixels = 16e6;
 constexpr int longest_side = 1024;
+/// A strip or a trim sheet keeps this many rows (or columns) where it has them, rather than shrink to a line.
+constexpr int shortest_side = 16;
 
 /// Which columns of the texture fall into one column of a tile, and how much of each: a box in linear light.
 struct Box {
@@ -36,12 +38,13 @@ struct Box {
 struct TileSize {
     int width = 1, height = 1;
 };
-/// As large as the texture where that is small, else of its shape with about tile_pixels.
+/// As large as the texture where that is small, else of its shape with about tile_pixels; one far from square is stretched.
 TileSize tile_size(int width, int height, std::size_t tiles) {
     const double most = std::min(tile_pixels, all_tile_pixels / static_cast<double>(tiles));
     const double scale = std::min({1.0, std::sqrt(most / (static_cast<double>(width) * height)),
                                    static_cast<double>(longest_side) / std::max(width, height)});
-    return {std::max(1, static_cast<int>(std::lround(width * scale))), std::max(1, static_cast<int>(std::lround(height * scale)))};
+    const auto scaled = [&](int side) { return std::max(static_cast<int>(std::lround(side * scale)), std::min(side, shortest_side)); };
+    return {scaled(width), scaled(height)};
 }
 
 /// One light's picture and figures, gathered row by row.
@@ -85,7 +88,8 @@ Result<Picture> draw(const std::vector<Picture>& pictures, const ContactSheetRep
     constexpr int margin = 20, gap = 18, caption = 60;
     // Small textures are enlarged by whole factors, so that their texels can be seen.
     const int factor = std::max(1, std::min(128 / pictures[0].width, 128 / pictures[0].height));
-    const int picture_width = pictures[0].width * factor, picture_height = pictures[0].height * factor;
+    const auto shown = [&](int side) { return std::max(factor, (shortest_side + side - 1) / side) * side; };
+    const int picture_width = shown(pictures[0].width), picture_height = shown(pictures[0].height);
     double text_width = 0;
     for (const auto& tile : report.tiles) {
         text_width = std::max(text_width, measure_text(figures_text(tile), small).width);
@@ -109,7 +113,7 @@ Result<Picture> draw(const std::vector<Picture>& pictures, const ContactSheetRep
     }
     const int rows = (count + columns - 1) / columns;
     // The heading needs room of its own where there are few narrow tiles.
-    const int width = std::max(2 * margin + columns * (cell_width + gap) - gap, 460);
+    const int width = std::max(2 * margin + columns * (cell_width + gap) - gap, 520);
     const int head = 64;
     auto canvas = Canvas::make(width, head + margin + rows * (cell_height + gap) - gap + margin);
     if (!canvas) return std::move(canvas).error();
@@ -276,16 +280,17 @@ Result<ContactSheetReport> contact_sheet(const std::string& input, const std::st
                 const float v = planes[c][i];
                 // Codes within half of the ends are those codes; beyond, a sample was clipped.
                 if (v < -0.5F / 255 || v > 255.5F / 255) ++figures.clipped;
-                picture.rgb[3 * i + c] = static_cast<std::uint8_t>(std::lround(std::clamp(v, 0.0F, 1.0F) * 255));
+                // A comparison that a NaN fails, so that one is black.
+                picture.rgb[3 * i + c] = static_cast<std::uint8_t>(std::lround(v > 0 ? std::min(v, 1.0F) * 255 : 0.0F));
             }
         pictures.push_back(std::move(picture));
         report.tiles.push_back(std::move(figures));
     }
     static constexpr const char* adaptations[] = {"no adaptation", "von Kries adaptation", "Bradford adaptation", "CAT02 adaptation",
                                                   "CAT16 adaptation"};
-    report.note = fmt::format("ΔE00 (CIEDE2000) from the same relit under D65, both against its white; {}{}",
+    report.note = fmt::format("ΔE00 from the same under D65, against its white; {}{}",
                               adaptations[static_cast<std::size_t>(options.adaptation)],
-                              options.adaptation == Adaptation::none ? ", so the light's cast counts" : " to it");
+                              options.adaptation == Adaptation::none ? ", so casts count" : " to it");
     auto sheet = draw(pictures, report, std::filesystem::path(input).filename().string());
     if (!sheet) return std::move(sheet).error();
     report.output = output;

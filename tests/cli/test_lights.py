@@ -36,7 +36,7 @@ def test_contact_sheet(texture, run, tmp_path):
         # White of the 5 nm and of the 1 nm grid: 1e-3 at the most on differences of tens.
         assert tiles[light]["mean"] == pytest.approx(files["mean"], abs=1e-2)
         assert tiles[light]["max"] == pytest.approx(files["max"], abs=1e-2)
-    pixels = read_image(sheet)
+    pixels, _ = read_image(sheet)
     assert pixels.shape[:2] == (out["sheet_height"], out["sheet_width"])
     # The picture is a mean in linear light of flat blocks: their codes themselves are on it, under D65.
     codes = np.rint(pixels[..., :3] * 255).astype(int).reshape(-1, 3)
@@ -60,7 +60,7 @@ def test_metamerism(texture, run, tmp_path):
     path = tmp_path / "map.exr"
     args = ["--metamerism", str(texture), "-i", "A,FL11", "--methods", "mallett2019,lattice", "--json", "-"]
     out = json.loads(run("spxdiff", *args, "--map", str(path), check=0).stdout)
-    values = read_image(path)[..., 0]
+    values = read_image(path)[0][..., 0]
     assert values.max() == pytest.approx(out["max"]) and values.mean() == pytest.approx(out["mean"], rel=1e-5)
     # Per light from two relit files, and the larger of both.
     worst = []
@@ -70,7 +70,7 @@ def test_metamerism(texture, run, tmp_path):
         white = oracle.weights(np.arange(380, 781, 5), oracle.illuminant(light)).sum(1)
         labs = []
         for method in ("mallett2019", "lattice"):
-            rgb = read_image(tmp_path / f"{method}.exr")[..., :3].astype(float)
+            rgb = read_image(tmp_path / f"{method}.exr")[0][..., :3].astype(float)
             labs.append(oracle.lab(rgb @ oracle.bt709_matrix(np.arange(380, 781, 5)).T, white / white[1]))
         worst.append(oracle.ciede2000(labs[0], labs[1]))
     # Floats in the files and on the way: 1e-3 in Lab at the most.
@@ -92,3 +92,15 @@ def test_metamerism(texture, run, tmp_path):
 def test_metamerism_refusals(args, code, words, texture, run):
     out = run("spxdiff", "--metamerism", str(texture), *args)
     assert out.code == code and words in out.stderr
+
+
+@pytest.mark.parametrize("shape", [(3, 4000), (4000, 3)])
+def test_contact_sheet_of_strips(shape, run, tmp_path):
+    """No tile shrinks to a line: 16 pixels are left of the short side, which here has three colours across."""
+    colors = np.array([[220, 40, 40], [40, 200, 60], [50, 70, 210]], np.uint8)
+    pixels = np.repeat(colors[:, None], 4000, 1)
+    write_image(tmp_path / "strip.png", pixels if shape[0] == 3 else pixels.swapaxes(0, 1))
+    run("spxrelight", "strip.png", "-i", "D65", "--contact-sheet", "s.png", "--quiet", cwd=tmp_path, check=0)
+    sheet = np.rint(read_image(tmp_path / "s.png")[0][..., :3] * 255).astype(int)
+    for color in colors.astype(int):
+        assert (np.abs(sheet - color).max(-1) <= 1).sum() >= 4 * 1000

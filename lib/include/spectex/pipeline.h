@@ -216,7 +216,8 @@ struct ContactSheetReport {
 };
 /// A labelled picture of one tile per light: name, correlated colour temperature, and mean and largest CIEDE2000 between
 /// the texture relit under the light and relit under D65 (both by the same method, observer, adaptation and
-/// normalisation), both relative to the white of D65. Tiles are box-filtered in linear light and shown in sRGB.
+/// normalisation), both relative to the white of D65. Tiles are box-filtered in linear light and shown in sRGB; those of
+/// textures far from square are stretched to 16 pixels at least.
 /// @param output  a picture format of 8 bits. @error usage for 0 or more than 1000 lights, and for emission.
 SPECTEX_API Result<ContactSheetReport> contact_sheet(const std::string& input, const std::string& output,
                                                      const RelightOptions& options);
