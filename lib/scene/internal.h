@@ -39,6 +39,8 @@ public:
     /// @param base  folder from which a relative path counts.
     Status add(SceneTexture texture, const std::string& base);
     std::size_t add_token(SceneToken token);
+    /// The bytes [begin, end) of a text name the file that is loaded next.
+    void add_include(const Text& text, std::size_t begin, std::size_t end);
     void add_illuminant(std::string specification, std::string written, const Text& text, std::size_t offset);
     void warn(const Text& text, std::size_t offset, std::string message);
 

@@ -73,15 +73,7 @@ private:
     Status include(const Text& text, const pugi::xml_node& node) {
         const std::string path = resolve(folder_of(text.path), node.attribute("href").value());
         if (!exists(path)) return text.error(offset_of(node), fmt::format("there is no file {}", path));
-        if (const auto range = attribute_range(text, node, "href")) {
-            SceneToken token;
-            token.kind = SceneToken::Kind::include;
-            token.file = text.file;
-            token.begin = range->begin;
-            token.end = range->end;
-            token.target = builder_.scene().files.size();
-            builder_.add_token(std::move(token));
-        }
+        if (const auto range = attribute_range(text, node, "href")) builder_.add_include(text, range->begin, range->end);
         return read_file(path, &text, offset_of(node));
     }
 

@@ -151,13 +151,7 @@ Status read_obj(Builder& builder, const std::string& path) {
                 builder.warn(*text, begin, fmt::format("there is no material library {}", library));
                 continue;
             }
-            SceneToken token;
-            token.kind = SceneToken::Kind::include;
-            token.file = text->file;
-            token.begin = name.begin;
-            token.end = name.end;
-            token.target = builder.scene().files.size();
-            builder.add_token(std::move(token));
+            builder.add_include(*text, name.begin, name.end);
             if (auto read = read_mtl(builder, library, &*text, begin); !read) return read;
         }
         return {};

@@ -231,14 +231,8 @@ private:
             builder_.warn(text, directive.begin, fmt::format("{} is compressed and not read", path));
             return {};
         }
-        SceneToken token;
-        token.kind = SceneToken::Kind::include;
-        token.file = text.file;
-        token.begin = file.begin;
-        token.end = file.end;
-        token.target = builder_.scene().files.size();  // load() gives the next number
         if (!exists(path)) return text.error(directive.begin, fmt::format("there is no file {}", path));
-        builder_.add_token(std::move(token));
+        builder_.add_include(text, file.begin, file.end);
         return read_file(path, &text, directive.begin);
     }
 

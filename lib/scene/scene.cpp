@@ -131,6 +131,16 @@ std::size_t Builder::add_token(SceneToken token) {
     return scene_.tokens.size() - 1;
 }
 
+void Builder::add_include(const Text& text, std::size_t begin, std::size_t end) {
+    SceneToken token;
+    token.kind = SceneToken::Kind::include;
+    token.file = text.file;
+    token.begin = begin;
+    token.end = end;
+    token.target = scene_.files.size();  // load() gives the next number
+    add_token(std::move(token));
+}
+
 void Builder::add_illuminant(std::string specification, std::string written, const Text& text, std::size_t offset) {
     // Scenes repeat their lights by the thousand; one of each is enough.
     for (const SceneIlluminant& known : scene_.illuminants)
