@@ -9,11 +9,17 @@
 #include "kernels/lattice.h"
 #include "kernels/linear.h"
 #include "kernels/spectra.h"
+#include "plan/color_memory.h"
 #include "spectex/io.h"
 #include "spectral/numeric.h"
 
 namespace spectex {
 namespace {
+
+using plan::ColorMemory, plan::ColorMemoryOwner;
+
+const std::string repeated_colors = fmt::format("colours met before: each thread keeps what came of the last {} or fewer",
+                                                plan::ColorMemory::most_entries);
 
 /// Pixels that a kernel handles at a time where it needs scratch memory: the scratch stays in the second-level cache.
 constexpr std::size_t block_pixels = 1024;
@@ -129,6 +135,9 @@ RelightPlan RelightPlan::of_model(std::shared_ptr<const Model> model, std::vecto
                                                            model->info().id)});
         const auto unused = std::count(needed.begin(), needed.end(), false);
         if (unused > 0) plan.explanation_.push_back({"skipped", fmt::format("{} bands of zero weight", unused)});
+        plan.explanation_.push_back({"skipped", repeated_colors});
+        plan.of_coefficients_ = std::make_shared<ColorMemoryOwner>();
+        plan.of_colors_ = std::make_shared<ColorMemoryOwner>();
         plan.model_ = std::move(model);
     }
     return plan;
@@ -203,7 +212,7 @@ void RelightPlan::execute(std::span<const float* const> in, std::size_t n, std::
         kernels::integrate_bands(in, n, weights_, 3 * images_, out.data());
         return;
     case Kernel::spectra:
-        integrate_spectra(in, n, out, [this](std::span<const double> coefficients, std::span<double> spectra) {
+        integrate_spectra(*of_coefficients_, in, n, out, [this](std::span<const double> coefficients, std::span<double> spectra) {
             model_->reflectance_of_coefficients(coefficients, spectra);
         });
         return;
@@ -212,24 +221,36 @@ void RelightPlan::execute(std::span<const float* const> in, std::size_t n, std::
 
 void RelightPlan::execute_colors(std::array<const float*, 3> rgb, std::size_t n, std::span<float* const> out) const {
     if (kernel_ != Kernel::spectra) return execute(rgb, n, out);
-    integrate_spectra(rgb, n, out, [this](std::span<const double> colors, std::span<double> spectra) {
+    integrate_spectra(*of_colors_, rgb, n, out, [this](std::span<const double> colors, std::span<double> spectra) {
         model_->reflectance(colors, spectra);
     });
 }
 
 template <class Reflectance>
-void RelightPlan::integrate_spectra(std::span<const float* const> in, std::size_t n, std::span<float* const> out,
-                                    const Reflectance& reflectance) const {
-    const std::size_t bands = model_->colorimetry().bands().size(), c = in.size();
-    std::vector<double> numbers(c * block_pixels), spectra(bands * block_pixels);
+void RelightPlan::integrate_spectra(const ColorMemoryOwner& memory, std::span<const float* const> in, std::size_t n,
+                                    std::span<float* const> out, const Reflectance& reflectance) const {
+    const std::size_t bands = model_->colorimetry().bands().size(), c = in.size(), values = 3 * images_;
+    std::vector<double> spectra(bands * block_pixels), numbers;
+    std::vector<float> lit(values * block_pixels);
+    const auto compute = [&](std::span<const double> colors, std::span<float> results) {
+        const std::size_t count = colors.size() / c;
+        reflectance(colors, {spectra.data(), bands * count});
+        for (std::size_t p = 0; p < count; ++p)
+            for (std::size_t j = 0; j < values; ++j)
+                results[p * values + j] = static_cast<float>(dot(&weights_[j * bands], &spectra[p * bands], bands));
+    };
     for (std::size_t begin = 0; begin < n; begin += block_pixels) {
         const std::size_t count = std::min(block_pixels, n - begin);
-        for (std::size_t p = 0; p < count; ++p)
-            for (std::size_t i = 0; i < c; ++i) numbers[p * c + i] = in[i][begin + p];
-        reflectance({numbers.data(), c * count}, {spectra.data(), bands * count});
-        for (std::size_t p = 0; p < count; ++p)
-            for (std::size_t j = 0; j < 3 * images_; ++j)
-                out[j][begin + p] = static_cast<float>(dot(&weights_[j * bands], &spectra[p * bands], bands));
+        if (c == ColorMemory::inputs) {
+            ColorMemory::apply(memory, in, begin, count, values, compute, lit.data());
+        } else {
+            numbers.resize(c * count);
+            for (std::size_t p = 0; p < count; ++p)
+                for (std::size_t i = 0; i < c; ++i) numbers[p * c + i] = static_cast<double>(in[i][begin + p]);
+            compute(numbers, {lit.data(), values * count});
+        }
+        for (std::size_t j = 0; j < values; ++j)
+            for (std::size_t p = 0; p < count; ++p) out[j][begin + p] = lit[p * values + j];
     }
 }
 
@@ -242,6 +263,7 @@ Result<StorePlan> StorePlan::make(std::shared_ptr<const Model> model, Store stor
     plan.model_ = model;
     plan.store_ = store;
     plan.type_ = type;
+    plan.memory_ = std::make_shared<ColorMemoryOwner>();
     const auto bands = colorimetry.bands().size();
     if (store == Store::coefficients) {
         plan.names_ = model->coefficient_names();
@@ -259,6 +281,7 @@ Result<StorePlan> StorePlan::make(std::shared_ptr<const Model> model, Store stor
         plan.explanation_.push_back(
             {"kernel", model->basis() ? "linear combination of three spectra" : "spectra evaluated per pixel"});
     }
+    if (model->info().pieces == Pieces::nonlinear) plan.explanation_.push_back({"skipped", repeated_colors});
     return plan;
 }
 
@@ -275,15 +298,17 @@ void StorePlan::store(std::array<const float*, 3> rgb, std::size_t n, std::span<
         return;
     }
     const std::size_t values = planes.size();
-    std::vector<double> colors(3 * block_pixels), computed(values * block_pixels);
-    std::vector<float> plane(block_pixels);
+    std::vector<double> computed(values * block_pixels);
+    std::vector<float> coefficients(values * block_pixels), plane(block_pixels);
+    const auto compute = [&](std::span<const double> colors, std::span<float> results) {
+        model_->coefficients(colors, {computed.data(), results.size()});
+        for (std::size_t i = 0; i < results.size(); ++i) results[i] = static_cast<float>(computed[i]);
+    };
     for (std::size_t begin = 0; begin < n; begin += block_pixels) {
         const std::size_t count = std::min(block_pixels, n - begin);
-        for (std::size_t p = 0; p < count; ++p)
-            for (std::size_t i = 0; i < 3; ++i) colors[3 * p + i] = rgb[i][begin + p];
-        model_->coefficients({colors.data(), 3 * count}, {computed.data(), values * count});
+        ColorMemory::apply(*memory_, rgb, begin, count, values, compute, coefficients.data());
         for (std::size_t i = 0; i < values; ++i) {
-            for (std::size_t p = 0; p < count; ++p) plane[p] = static_cast<float>(computed[p * values + i]);
+            for (std::size_t p = 0; p < count; ++p) plane[p] = coefficients[p * values + i];
             emit(plane.data(), count, i, begin);
         }
     }
@@ -295,10 +320,17 @@ void StorePlan::store_bands(std::array<const float*, 3> rgb, std::size_t n, std:
     // Halves are rounded together, so their floats pass through a block; floats go where they stay.
     std::vector<float> block(half ? bands * block_pixels : 0);
     std::vector<double> colors, computed;
+    std::vector<float> spectra;
+    const bool nonlinear = model_->info().pieces == Pieces::nonlinear;
     if (!model_->basis()) {
         colors.resize(3 * block_pixels);
         computed.resize(bands * block_pixels);
     }
+    if (nonlinear) spectra.resize(bands * block_pixels);
+    const auto compute = [&](std::span<const double> some, std::span<float> results) {
+        model_->reflectance(some, {computed.data(), results.size()});
+        for (std::size_t i = 0; i < results.size(); ++i) results[i] = static_cast<float>(computed[i]);
+    };
     std::vector<float*> out(bands);
     std::vector<std::uint16_t*> halves(bands);
     for (std::size_t begin = 0; begin < n; begin += block_pixels) {
@@ -307,6 +339,10 @@ void StorePlan::store_bands(std::array<const float*, 3> rgb, std::size_t n, std:
             out[b] = half ? &block[b * block_pixels] : reinterpret_cast<float*>(planes[b]) + begin;
         if (model_->basis()) {
             kernels::combine_basis({rgb[0] + begin, rgb[1] + begin, rgb[2] + begin}, count, *model_->basis(), 0, bands, out.data());
+        } else if (nonlinear) {
+            ColorMemory::apply(*memory_, rgb, begin, count, bands, compute, spectra.data());
+            for (std::size_t b = 0; b < bands; ++b)
+                for (std::size_t p = 0; p < count; ++p) out[b][p] = spectra[p * bands + b];
         } else {
             for (std::size_t p = 0; p < count; ++p)
                 for (std::size_t i = 0; i < 3; ++i) colors[3 * p + i] = rgb[i][begin + p];

@@ -1,11 +1,15 @@
 #include <gtest/gtest.h>
 
+#include <array>
+#include <bit>
 #include <cmath>
 #include <limits>
 #include <nlohmann/json.hpp>
 #include <random>
+#include <set>
 
 #include "spectex/methods.h"
+#include "spectex/plan.h"
 
 namespace spectex {
 namespace {
@@ -348,4 +352,48 @@ TEST(Gamut, DesaturationKeepsLuminanceAndHue) {
 }
 
 }  // namespace
+/// Counts the colours that it is asked for.
+class Counted final : public Model {
+public:
+    explicit Counted(const Colorimetry& c) : Model({.id = "counted", .title = "", .source = "", .pieces = Pieces::nonlinear}, c) {}
+    void reflectance(std::span<const double> rgb, std::span<double> out) const override {
+        asked += rgb.size() / 3;
+        const std::size_t bands = colorimetry().bands().size();
+        for (std::size_t i = 0; i < out.size(); ++i) out[i] = rgb[i / bands * 3] * 0.5 + rgb[i / bands * 3 + 1] * 0.25 + rgb[i / bands * 3 + 2] * 0.125;
+    }
+    std::string to_json() const override { return "{}"; }
+    mutable std::size_t asked = 0;
+};
+
+TEST(RepeatedColours, AreComputedOnceAndGiveTheSame) {
+    const auto c = Colorimetry::make({}, BandSet());
+    ASSERT_TRUE(c);
+    const auto model = std::make_shared<Counted>(*c);
+    RelightRequest request;
+    request.illuminants.push_back(*parse_illuminant("A"));
+    const auto plan = RelightPlan::for_model(model, request);
+    ASSERT_TRUE(plan) << plan.error().message;
+    // 300 colours in an order of no pattern, over several blocks; -0 and 0 are two.
+    constexpr std::size_t n = 10000;
+    std::array<std::vector<float>, 3> rgb, out;
+    for (std::size_t p = 0; p < n; ++p) {
+        const std::size_t k = p * p % 300;
+        rgb[0].push_back(static_cast<float>(k) / 300), rgb[1].push_back(static_cast<float>(k * 7 % 300) / 300), rgb[2].push_back(k == 0 && p > 5000 ? -0.0f : 0.0f);
+    }
+    std::set<std::array<std::uint32_t, 3>> distinct;
+    for (std::size_t p = 0; p < n; ++p)
+        distinct.insert({std::bit_cast<std::uint32_t>(rgb[0][p]), std::bit_cast<std::uint32_t>(rgb[1][p]), std::bit_cast<std::uint32_t>(rgb[2][p])});
+    for (auto& plane : out) plane.resize(n);
+    plan->execute(std::array<const float*, 3>{rgb[0].data(), rgb[1].data(), rgb[2].data()}, n, std::array<float*, 3>{out[0].data(), out[1].data(), out[2].data()});
+    EXPECT_GE(model->asked, distinct.size());
+    // Two colours may share a place now and then.
+    EXPECT_LE(model->asked, distinct.size() + 200);
+    for (std::size_t p = 0; p < n; p += 97) {
+        const auto fresh = RelightPlan::for_model(model, request);  // remembers nothing
+        std::array<float, 3> alone{};
+        fresh->execute(std::array<const float*, 3>{&rgb[0][p], &rgb[1][p], &rgb[2][p]}, 1, std::array<float*, 3>{&alone[0], &alone[1], &alone[2]});
+        for (std::size_t i = 0; i < 3; ++i) EXPECT_EQ(out[i][p], alone[i]) << p;
+    }
+}
+
 }  // namespace spectex

@@ -18,6 +18,9 @@
 
 namespace spectex {
 
+namespace plan {
+class ColorMemoryOwner;
+}
 namespace kernels {
 class LatticeKernel;
 class HalfSpectraRounder;
@@ -78,8 +81,8 @@ private:
     static RelightPlan of_model(std::shared_ptr<const Model> model, std::vector<double> rows);
     static RelightPlan of_bands(std::size_t bands, std::vector<double> rows);
     template <class Reflectance>
-    void integrate_spectra(std::span<const float* const> in, std::size_t n, std::span<float* const> out,
-                           const Reflectance& reflectance) const;
+    void integrate_spectra(const plan::ColorMemoryOwner& memory, std::span<const float* const> in, std::size_t n,
+                           std::span<float* const> out, const Reflectance& reflectance) const;
 
     Kernel kernel_ = Kernel::bands;
     std::size_t images_ = 0;
@@ -87,6 +90,7 @@ private:
     std::vector<Matrix3> matrices_;                          // matrix
     std::vector<double> weights_;                            // bands, spectra: [3 images][bands]
     std::shared_ptr<const Model> model_;                     // spectra
+    std::shared_ptr<const plan::ColorMemoryOwner> of_coefficients_, of_colors_;  // spectra
     std::shared_ptr<const LatticeTable> table_;              // lattice: [vertices][3 images]
     std::shared_ptr<const kernels::LatticeKernel> lattice_;  // over table_
     Explanation explanation_;
@@ -122,6 +126,7 @@ private:
     Store store_ = Store::coefficients;
     PixelType type_ = PixelType::half;
     std::vector<std::string> names_;
+    std::shared_ptr<const plan::ColorMemoryOwner> memory_;        // nonlinear methods
     std::shared_ptr<const kernels::HalfSpectraRounder> rounder_;  // half bands
     RelightPlan reader_;
     Explanation explanation_;
