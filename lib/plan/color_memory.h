@@ -35,6 +35,8 @@ public:
     /// What one memory may take.
     static constexpr std::size_t bytes = std::size_t{4} << 20;
     static constexpr std::size_t most_entries = std::size_t{1} << 15;
+    /// Where fewer than one colour of `worth` among `judged` came again, so many calls pass before it is tried again.
+    static constexpr std::uint64_t judged = 1 << 15, worth = 20, rest = 256;
 
     /// Results of n colours.
     /// @param in       three planes; colours [begin, begin + n).
@@ -45,7 +47,7 @@ public:
                       const Compute& compute, float* out) {
         ColorMemory& memory = of(owner, values);
         // The function may run other tasks of this thread's while it waits for its own, and those come back here.
-        if (memory.busy_) {
+        if (memory.busy_ || memory.rests()) {
             std::vector<double> colors(inputs * n);
             for (std::size_t p = 0; p < n; ++p)
                 for (std::size_t i = 0; i < inputs; ++i) colors[p * inputs + i] = static_cast<double>(in[i][begin + p]);
@@ -80,8 +82,15 @@ private:
         return memory;
     }
 
+    bool rests() {
+        if (resting_ == 0) return false;
+        --resting_;
+        return true;
+    }
+
     void begin(std::uint64_t owner, std::size_t values) {
         owner_ = owner;
+        asked_ = computed_colours_ = resting_ = 0;
         const std::size_t fitting = bytes / (sizeof(Key) + sizeof(float) * std::max<std::size_t>(values, 1));
         shift_ = 64 - std::countr_zero(std::min(std::bit_floor(std::max<std::size_t>(fitting, 2)), most_entries));
         const std::size_t entries = std::size_t{1} << (64 - shift_);
@@ -129,6 +138,11 @@ private:
         }
         for (const auto& r : repeats_) std::copy_n(&results_[r.slot * values], values, out + r.pixel * values);
         ++call_;
+        asked_ += n;
+        computed_colours_ += missing_.size();
+        if (asked_ < judged) return;
+        if ((asked_ - computed_colours_) * worth < asked_) resting_ = rest;
+        asked_ = computed_colours_ = 0;
     }
 
     static constexpr std::size_t no_slot = static_cast<std::size_t>(-1);
@@ -136,6 +150,7 @@ private:
         std::size_t pixel, slot;
     };
     std::uint64_t owner_ = 0;
+    std::uint64_t asked_ = 0, computed_colours_ = 0, resting_ = 0;
     bool busy_ = false;
     int shift_ = 63;
     std::uint32_t call_ = 1;

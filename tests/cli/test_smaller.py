@@ -119,7 +119,7 @@ def test_few_bands_show_the_texture_right(run, tmp_path):
     assert oracle.cie76(a, b).max() > 1
 
 
-def test_bands_for_other_methods_and_impossible_bounds(run, tmp_path):
+def test_bands_for_other_methods_and_a_bound(run, tmp_path):
     source, out = tmp_path / "patches.png", tmp_path / "few.exr"
     write_image(source, np.random.default_rng(5).integers(0, 256, (4, 6, 3), dtype=np.uint8))
     report = run("spxuplift", source, "-o", out, "--method", "mallett2019", "--store", "spectral", "--bands", "auto", "--for", "A", "--float",
