@@ -27,8 +27,8 @@ private:
 };
 
 /// Results of a function of three floats, the last that this thread met, in a table with one place for each hash. A result
-/// depends on its colour alone, so that it is the same whether it was remembered or not. A look-up took 10 ns where the
-/// cheapest method takes 200, so that it pays from one colour in twenty on that comes again.
+/// depends on its colour alone, so that it is the same whether it was remembered or not. A look-up is a hash and a comparison
+/// where a spectrum is some hundred operations: it is given up for a while where next to no colour comes again.
 class ColorMemory {
 public:
     static constexpr std::size_t inputs = 3;
