@@ -3,6 +3,7 @@
 
 #include <array>
 #include <cstddef>
+#include <span>
 
 #include "spectex/methods.h"
 
@@ -30,5 +31,9 @@ private:
     std::array<bool, 3> uniform_{};
     std::array<std::size_t, 3> strides_{};  ///< from vertex to vertex along each axis, in numbers
 };
+
+/// The same from colours in double, not rounded, a colour at a time.
+/// @param rgb  [n][3] linear; clamped to [0,1]. @param out  [n][values].
+void interpolate_lattice(const LatticeTable& table, std::span<const double> rgb, std::span<double> out);
 
 }  // namespace spectex::kernels

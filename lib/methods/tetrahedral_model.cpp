@@ -11,26 +11,7 @@ TetrahedralModel::TetrahedralModel(const MethodInfo& info, const Colorimetry& co
     : Model(info, colorimetry), table_(std::move(table)) {}
 
 void TetrahedralModel::reflectance(std::span<const double> rgb, std::span<double> out) const {
-    const std::size_t bands = table_.values;
-    const std::size_t blues = table_.knots[2].size(), greens = table_.knots[1].size();
-    const std::array<std::size_t, 3> strides{greens * blues * bands, blues * bands, bands};
-    for (std::size_t i = 0; 3 * i + 2 < rgb.size(); ++i) {
-        std::array<std::pair<double, std::size_t>, 3> step;
-        const double* vertex = table_.vertices.data();
-        for (std::size_t c = 0; c < 3; ++c) {
-            const auto& knots = table_.knots[c];
-            const double v = std::clamp(rgb[3 * i + c], 0.0, 1.0);
-            const auto above = static_cast<std::size_t>(std::upper_bound(knots.begin() + 1, knots.end() - 1, v) - knots.begin());
-            vertex += (above - 1) * strides[c];
-            step[c] = {(v - knots[above - 1]) / (knots[above] - knots[above - 1]), strides[c]};
-        }
-        std::stable_sort(step.begin(), step.end(), [](const auto& a, const auto& b) { return a.first > b.first; });
-        const double *v0 = vertex, *v1 = v0 + step[0].second, *v2 = v1 + step[1].second, *v3 = v2 + step[2].second;
-        const double w0 = 1 - step[0].first, w1 = step[0].first - step[1].first, w2 = step[1].first - step[2].first,
-                     w3 = step[2].first;
-        double* r = &out[i * bands];
-        for (std::size_t l = 0; l < bands; ++l) r[l] = (w0 * v0[l] + w1 * v1[l]) + (w2 * v2[l] + w3 * v3[l]);
-    }
+    kernels::interpolate_lattice(table_, rgb, out);
 }
 
 std::string TetrahedralModel::to_json() const {

@@ -226,6 +226,28 @@ void RelightPlan::execute_colors(std::array<const float*, 3> rgb, std::size_t n,
     });
 }
 
+void RelightPlan::relit(std::span<const double> rgb, std::span<double> out) const {
+    const std::size_t values = 3 * images_, n = rgb.size() / 3;
+    if (kernel_ == Kernel::lattice) return kernels::interpolate_lattice(*table_, rgb, out);
+    if (kernel_ == Kernel::matrix) {
+        for (std::size_t p = 0; p < n; ++p)
+            for (std::size_t k = 0; k < images_; ++k) {
+                const Vector3 lit = matrices_[k] * Vector3{rgb[3 * p], rgb[3 * p + 1], rgb[3 * p + 2]};
+                std::copy(lit.begin(), lit.end(), &out[p * values + 3 * k]);
+            }
+        return;
+    }
+    const std::size_t bands = model_->colorimetry().bands().size();
+    std::vector<double> spectra(bands * block_pixels);
+    for (std::size_t begin = 0; begin < n; begin += block_pixels) {
+        const std::size_t count = std::min(block_pixels, n - begin);
+        model_->reflectance(rgb.subspan(3 * begin, 3 * count), {spectra.data(), bands * count});
+        for (std::size_t p = 0; p < count; ++p)
+            for (std::size_t j = 0; j < values; ++j)
+                out[(begin + p) * values + j] = dot(&weights_[j * bands], &spectra[p * bands], bands);
+    }
+}
+
 template <class Reflectance>
 void RelightPlan::integrate_spectra(const ColorMemoryOwner& memory, std::span<const float* const> in, std::size_t n,
                                     std::span<float* const> out, const Reflectance& reflectance) const {

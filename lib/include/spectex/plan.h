@@ -67,6 +67,9 @@ public:
     /// method it is right to the rounding of the result. For plans of a model alone.
     /// @param rgb  three planes of n.
     void execute_colors(std::array<const float*, 3> rgb, std::size_t n, std::span<float* const> out) const;
+    /// The same in double, nothing rounded or remembered: the reference of the kernels, and for tables. Of any plan of a model.
+    /// @param rgb  [n][3] linear, each in [0,1]. @param out  [n][3 * images].
+    void relit(std::span<const double> rgb, std::span<double> out) const;
 
     /// The 3x3 matrix of one image, when the plan is one.
     const Matrix3* matrix(std::size_t image) const;
