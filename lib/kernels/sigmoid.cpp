@@ -19,9 +19,9 @@ namespace spectex::kernels::HWY_NAMESPACE {
 // small enough for the foresight below to hold, and what it may foresee to be left.
 constexpr double surely_small = 1e-9, near_enough = 1e-6, accepted_rest = 1e-12;
 
-// Square roots and divisions of so many bands are begun before the first is used: one band's dependent operations would fill
-// a processor's scheduler while they wait.
-constexpr std::size_t bands_at_once = 8;
+// Square roots and divisions of so many bands are begun while as many before them are used: one band's dependent operations
+// would fill a processor's scheduler while they wait.
+constexpr std::size_t bands_at_once = 4;
 
 void Evaluate(const double* coefficients, std::size_t n, const double* t, std::size_t bands, double* out) {
     const hn::ScalableTag<double> d;
@@ -114,46 +114,52 @@ HWY_INLINE void Residual(DF df, const SigmoidBand* bands, std::size_t count, con
     using VD = typename C::VD;
     using Pair = typename C::Pair;
     const typename C::DD dd;
-    const VF one_f = hn::Set(df, 1.0f);
-    const VD one = hn::Set(dd, 1.0), half = hn::Set(dd, 0.5), three_halves = hn::Set(dd, 1.5);
+    const VF one_f = hn::Set(df, 1.0f), half_f = hn::Set(df, 0.5f);
+    const VD three_quarters = hn::Set(dd, 0.75);
     const VD cl0 = c[0].lower, cl1 = c[1].lower, cl2 = c[2].lower;
     const VD cu0 = c[0].upper, cu1 = c[1].upper, cu2 = c[2].upper;
     VD fl0 = hn::Zero(dd), fl1 = fl0, fl2 = fl0, fu0 = fl0, fu1 = fl0, fu2 = fl0;
     [[maybe_unused]] VF j00 = hn::Zero(df), j01 = j00, j02 = j00, j10 = j00, j11 = j00, j12 = j00, j20 = j00, j21 = j00,
                         j22 = j00;
-    VD xl[bands_at_once], xu[bands_at_once];
-    VF roots[bands_at_once];
-    for (std::size_t b = 0; b < count; ++b) {
-        const std::size_t slot = b % bands_at_once;
-        if (slot == 0) {
-            for (std::size_t k = 0; k < std::min(bands_at_once, count - b); ++k) {
-                const VD t = hn::Set(dd, bands[b + k].t);
-                xl[k] = hn::Add(hn::Mul(hn::Add(hn::Mul(cl0, t), cl1), t), cl2);
-                xu[k] = hn::Add(hn::Mul(hn::Add(hn::Mul(cu0, t), cu1), t), cu2);
-                const VF x = C::narrow(df, Pair{xl[k], xu[k]});
-                roots[k] = hn::Div(one_f, hn::Sqrt(hn::Add(one_f, hn::Mul(x, x))));
-            }
+    VD xl[2 * bands_at_once], xu[2 * bands_at_once];
+    VF roots[2 * bands_at_once];
+    const auto begin_roots = [&](std::size_t first) HWY_ATTR {
+        for (std::size_t b = first; b < std::min(first + bands_at_once, count); ++b) {
+            const std::size_t slot = b % (2 * bands_at_once);
+            const VD t = hn::Set(dd, bands[b].t);
+            xl[slot] = hn::Add(hn::Mul(hn::Add(hn::Mul(cl0, t), cl1), t), cl2);
+            xu[slot] = hn::Add(hn::Mul(hn::Add(hn::Mul(cu0, t), cu1), t), cu2);
+            const VF x = C::narrow(df, Pair{xl[slot], xu[slot]});
+            roots[slot] = hn::Div(half_f, hn::Sqrt(hn::Add(one_f, hn::Mul(x, x))));
         }
+    };
+    begin_roots(0);
+    for (std::size_t b = 0; b < count; ++b) {
+        const std::size_t slot = b % (2 * bands_at_once);
+        if (b % bands_at_once == 0) begin_roots(b + bands_at_once);
         const SigmoidBand& band = bands[b];
         const VF y = roots[slot];
         if constexpr (with_jacobian) {
-            const VF g = hn::Mul(hn::Mul(y, y), y);
-            const VF tf = hn::Set(df, band.t_single), tt = hn::Set(df, band.t_squared_single);
-            const VF u0 = hn::Mul(hn::Set(df, band.a_single[0]), g);
-            const VF u1 = hn::Mul(hn::Set(df, band.a_single[1]), g);
-            const VF u2 = hn::Mul(hn::Set(df, band.a_single[2]), g);
-            j02 = hn::Add(j02, u0), j12 = hn::Add(j12, u1), j22 = hn::Add(j22, u2);
-            j01 = hn::Add(j01, hn::Mul(u0, tf)), j11 = hn::Add(j11, hn::Mul(u1, tf)), j21 = hn::Add(j21, hn::Mul(u2, tf));
-            j00 = hn::Add(j00, hn::Mul(u0, tt)), j10 = hn::Add(j10, hn::Mul(u1, tt)), j20 = hn::Add(j20, hn::Mul(u2, tt));
+            if (band.few_t_squared >= 0) {
+                const VF g = hn::Mul(hn::Mul(y, y), y);
+                const VF tf = hn::Set(df, band.t_single), tt = hn::Set(df, band.few_t_squared);
+                const VF u0 = hn::Mul(hn::Set(df, band.few_a_times_8[0]), g);
+                const VF u1 = hn::Mul(hn::Set(df, band.few_a_times_8[1]), g);
+                const VF u2 = hn::Mul(hn::Set(df, band.few_a_times_8[2]), g);
+                j02 = hn::Add(j02, u0), j12 = hn::Add(j12, u1), j22 = hn::Add(j22, u2);
+                j01 = hn::Add(j01, hn::Mul(u0, tf)), j11 = hn::Add(j11, hn::Mul(u1, tf)), j21 = hn::Add(j21, hn::Mul(u2, tf));
+                j00 = hn::Add(j00, hn::Mul(u0, tt)), j10 = hn::Add(j10, hn::Mul(u1, tt)), j20 = hn::Add(j20, hn::Mul(u2, tt));
+            }
         }
-        // y to double precision by one Newton step for y^-2 = 1 + x^2: a relative error e becomes 3/2 e^2.
+        // y to double precision by one Newton step for y^-2 = 1 + x^2, of which a relative error e leaves 3/2 e^2. With
+        // h = y / 2 and u = x h: x y (3/2 - (1 + x^2) y^2 / 2) = 4 u (3/4 - (h^2 + u^2)), of which the 4 is in the weights.
         const Pair yw = C::widen(df, y);
-        const auto product = [&](VD xw, VD y0) HWY_ATTR {
-            const VD v = hn::Mul(hn::Add(one, hn::Mul(xw, xw)), hn::Mul(y0, y0));
-            return hn::Mul(hn::Mul(xw, y0), hn::Sub(three_halves, hn::Mul(half, v)));
+        const auto product = [&](VD xw, VD h) HWY_ATTR {
+            const VD u = hn::Mul(xw, h);
+            return hn::Mul(u, hn::Sub(three_quarters, hn::Add(hn::Mul(h, h), hn::Mul(u, u))));
         };
         const VD sl = product(xl[slot], yw.lower), su = product(xu[slot], yw.upper);
-        const VD a0 = hn::Set(dd, band.a[0]), a1 = hn::Set(dd, band.a[1]), a2 = hn::Set(dd, band.a[2]);
+        const VD a0 = hn::Set(dd, band.a_times_4[0]), a1 = hn::Set(dd, band.a_times_4[1]), a2 = hn::Set(dd, band.a_times_4[2]);
         fl0 = hn::Add(fl0, hn::Mul(a0, sl)), fu0 = hn::Add(fu0, hn::Mul(a0, su));
         fl1 = hn::Add(fl1, hn::Mul(a1, sl)), fu1 = hn::Add(fu1, hn::Mul(a1, su));
         fl2 = hn::Add(fl2, hn::Mul(a2, sl)), fu2 = hn::Add(fu2, hn::Mul(a2, su));
@@ -186,11 +192,12 @@ void Refine(const SigmoidEquations& equations, const double* const* q, std::size
     const hn::RebindToSigned<decltype(dd)> dl;
     const std::size_t lanes = hn::Lanes(df), second = lanes - hn::Lanes(dd);
     const SigmoidBand* bands = equations.bands.data();
-    const std::size_t count = equations.bands.size();
+    const std::size_t count = equations.bands.size(), few_count = equations.few.size();
+    const SigmoidEquations::Few* few = equations.few.data();
     const auto resolution = static_cast<std::int32_t>(equations.resolution);
     const float* table = equations.table.data();
     const VF one_f = hn::Set(df, 1.0f);
-    
+
     for (std::size_t begin = 0; begin < n; begin += lanes) {
         const std::size_t used = std::min(lanes, n - begin);
         double staged[3][HWY_MAX_BYTES / sizeof(float)];
@@ -247,20 +254,22 @@ void Refine(const SigmoidEquations& equations, const double* const* q, std::size
                 VF f0 = hn::Zero(df), f1 = f0, f2 = f0;
                 VF j00 = f0, j01 = f0, j02 = f0, j10 = f0, j11 = f0, j12 = f0, j20 = f0, j21 = f0, j22 = f0;
                 const VF c0 = guess[0], c1 = guess[1], c2 = guess[2];
-                VF xs[bands_at_once], roots[bands_at_once];
-                for (std::size_t b = 0; b < count; ++b) {
-                    const std::size_t slot = b % bands_at_once;
-                    if (slot == 0) {
-                        for (std::size_t k = 0; k < std::min(bands_at_once, count - b); ++k) {
-                            const VF t = hn::Set(df, bands[b + k].t_single);
-                            xs[k] = hn::Add(hn::Mul(hn::Add(hn::Mul(c0, t), c1), t), c2);
-                            roots[k] = hn::Div(one_f, hn::Sqrt(hn::Add(one_f, hn::Mul(xs[k], xs[k]))));
-                        }
+                VF xs[2 * bands_at_once], roots[2 * bands_at_once];
+                const auto begin_roots = [&](std::size_t first) HWY_ATTR {
+                    for (std::size_t b = first; b < std::min(first + bands_at_once, few_count); ++b) {
+                        const std::size_t slot = b % (2 * bands_at_once);
+                        const VF t = hn::Set(df, few[b].t);
+                        xs[slot] = hn::Add(hn::Mul(hn::Add(hn::Mul(c0, t), c1), t), c2);
+                        roots[slot] = hn::Div(one_f, hn::Sqrt(hn::Add(one_f, hn::Mul(xs[slot], xs[slot]))));
                     }
-                    const SigmoidBand& band = bands[b];
-                    const VF t = hn::Set(df, band.t_single), tt = hn::Set(df, band.t_squared_single);
-                    const VF a0 = hn::Set(df, band.a_single[0]), a1 = hn::Set(df, band.a_single[1]),
-                             a2 = hn::Set(df, band.a_single[2]);
+                };
+                begin_roots(0);
+                for (std::size_t b = 0; b < few_count; ++b) {
+                    const std::size_t slot = b % (2 * bands_at_once);
+                    if (b % bands_at_once == 0) begin_roots(b + bands_at_once);
+                    const SigmoidEquations::Few& band = few[b];
+                    const VF t = hn::Set(df, band.t), tt = hn::Set(df, band.t_squared);
+                    const VF a0 = hn::Set(df, band.a[0]), a1 = hn::Set(df, band.a[1]), a2 = hn::Set(df, band.a[2]);
                     const VF x = xs[slot], y = roots[slot];
                     const VF s = hn::Mul(x, y), g = hn::Mul(hn::Mul(y, y), y);
                     f0 = hn::Add(f0, hn::Mul(a0, s));
@@ -370,6 +379,43 @@ void evaluate_sigmoids_reference(std::span<const double> coefficients, std::span
             c[k] = std::isnan(v) ? -0x1p100 : std::clamp(v, -0x1p100, 0x1p100);
         }
         for (std::size_t b = 0; b < t.size(); ++b) out[i * t.size() + b] = sigmoid((c[0] * t[b] + c[1]) * t[b] + c[2]);
+    }
+}
+
+SigmoidEquations::SigmoidEquations(std::span<const double> t, std::span<const double> a) {
+    const std::size_t n = t.size();
+    const auto weight = [&](std::size_t b) { return std::max({std::fabs(a[b]), std::fabs(a[n + b]), std::fabs(a[2 * n + b])}); };
+    bands.reserve(n);
+    for (std::size_t b = 0; b < n; ++b) {
+        SigmoidBand band{t[b], {a[b], a[n + b], a[2 * n + b]}};
+        for (std::size_t i = 0; i < 3; ++i) {
+            sum[i] += band.a[i];
+            band.a_times_4[i] = 4 * band.a[i];
+        }
+        band.t_single = static_cast<float>(band.t);
+        bands.push_back(band);
+    }
+    for (std::size_t b = 0; b < n;) {
+        std::size_t end = b + 1;
+        double together = weight(b), moment = together * t[b];
+        while (end < n && end - b < most_merged && together + weight(end) <= light_enough) {
+            together += weight(end);
+            moment += weight(end) * t[end];
+            ++end;
+        }
+        std::size_t middle = b;
+        for (std::size_t k = b; k < end; ++k)
+            if (std::fabs(t[k] * together - moment) < std::fabs(t[middle] * together - moment)) middle = k;
+        Few one{static_cast<float>(t[middle]), static_cast<float>(t[middle] * t[middle]), {}};
+        for (std::size_t i = 0; i < 3; ++i) {
+            double total = 0;
+            for (std::size_t k = b; k < end; ++k) total += a[i * n + k];
+            one.a[i] = static_cast<float>(total);
+            bands[middle].few_a_times_8[i] = 8 * one.a[i];
+        }
+        bands[middle].few_t_squared = one.t_squared;
+        few.push_back(one);
+        b = end;
     }
 }
 

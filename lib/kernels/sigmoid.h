@@ -28,19 +28,33 @@ void evaluate_sigmoids_reference(std::span<const double> coefficients, std::span
 
 /// A band of the equations, in both precisions.
 struct SigmoidBand {
-    SigmoidBand(double t_, const std::array<double, 3>& a_)
-        : t(t_), a(a_), t_single(static_cast<float>(t_)), t_squared_single(static_cast<float>(t_ * t_)),
-          a_single{static_cast<float>(a_[0]), static_cast<float>(a_[1]), static_cast<float>(a_[2])} {}
     double t;
     std::array<double, 3> a;
-    float t_single, t_squared_single;
-    std::array<float, 3> a_single;
+    std::array<double, 3> a_times_4{};
+    float t_single = 0;
+    float few_t_squared = -1;  ///< t^2 where this band stands for itself or a few in the Jacobian; negative: another does
+    std::array<float, 3> few_a_times_8{};
 };
 
 /// The three equations sum_b a_i(b) S(x(t_b)) = q_i, and a table of near solutions.
 struct SigmoidEquations {
+    SigmoidEquations() = default;
+    /// @param t  [bands]
+    /// @param a  [3][bands]
+    SigmoidEquations(std::span<const double> t, std::span<const double> a);
+
     std::vector<SigmoidBand> bands;
     std::array<double, 3> sum{};  ///< sum_b a_i(b)
+
+    /// The bands of the first step and of the Jacobians, which need not be exact: neighbours that weigh next to nothing,
+    /// at either end of the spectrum, are taken together.
+    struct Few {
+        float t, t_squared;
+        std::array<float, 3> a;
+    };
+    static constexpr std::size_t most_merged = 4;
+    static constexpr double light_enough = 0.0001;  ///< of white's 1; at 0.002 four times as many colours need a second pass
+    std::vector<Few> few;
 
     /// Coefficients times sqrt(z) on a grid over (block, w, y, x): the block is the index of the largest component z of q,
     /// w = sqrt(z), x and y are the next two components (cyclically) over z; each axis even over [0,1]. Four floats a

@@ -56,13 +56,9 @@ double lab_slope(double t) { return t > 216.0 / 24389 ? 1 / (3 * std::cbrt(t) * 
 
 Solver::Solver(const Colorimetry& colorimetry, Bare)
     : rgb_to_xyz_(colorimetry.rgb_to_xyz()), white_(colorimetry.white_xyz()) {
-    const auto& a = colorimetry.sensing_matrix();
     const std::size_t n = colorimetry.bands().size();
-    equations_.bands.reserve(n);
-    for (std::size_t b = 0; b < n; ++b) {
-        nodes_.push_back((colorimetry.bands()[b] - origin_nm) / unit_nm);
-        equations_.bands.emplace_back(nodes_[b], std::array<double, 3>{a[b], a[n + b], a[2 * n + b]});
-    }
+    for (const double nm : colorimetry.bands().wavelengths_nm()) nodes_.push_back((nm - origin_nm) / unit_nm);
+    equations_ = kernels::SigmoidEquations(nodes_, colorimetry.sensing_matrix());
     equations_.sum = colorimetry.rgb_of(std::vector<double>(n, 1.0));
     // What the integrated white leaves of (1,1,1) is the rounding of the sensing matrix.
     diffuser_is_white_ = true;
