@@ -9,6 +9,7 @@
 #include "../common/app.h"
 #include "../common/options.h"
 #include "grid.h"
+#include "stability.h"
 #include "table.h"
 #include "spectex/evaluation.h"
 #include "spectex/io.h"
@@ -26,6 +27,9 @@ struct Request {
     std::string folder;
     std::int64_t stride = 1, lines = 500, seed = 1;
     bench::GridRequest grid;
+    std::string csv;
+    std::int64_t colors = 1000000;
+    std::vector<std::string> groups;
 };
 
 std::vector<std::string> chosen_methods(const Request& request) {
@@ -217,10 +221,23 @@ int summary(app::App& tool, const Request& request, const Colorimetry& c) {
     return deliver(tool, request, "methods", table, std::move(json));
 }
 
+int stability(app::App& tool, const Request& request, const Colorimetry& c) {
+    bench::StabilityRequest wanted;
+    wanted.options.groups = request.groups;
+    wanted.options.methods = request.methods;
+    wanted.options.stride = static_cast<std::uint32_t>(request.stride);
+    wanted.options.colors = static_cast<std::uint64_t>(request.colors);
+    wanted.options.seed = static_cast<std::uint64_t>(request.seed);
+    wanted.options.threads = tool.threads();
+    wanted.folder = request.folder;
+    wanted.csv = request.csv;
+    return bench::stability(tool, wanted, c);
+}
+
 }  // namespace
 
 int main(int argc, char** argv) {
-    app::App tool({"spxbench", "grid|scaling|speed|accuracy|smoothness|methods [options]",
+    app::App tool({"spxbench", "grid|scaling|speed|accuracy|smoothness|stability|methods [options]",
                    "Measures methods: run time against error, relighting of measured reflectances, steps between neighbouring colours.",
                    {{"spxbench grid -o bench --corpus textures", "whole files: speed, size and error of methods and stores, with a chart"},
                     {"spxbench grid -o bench --baseline before.json", "the same as ratios to an earlier run"},
@@ -229,10 +246,11 @@ int main(int argc, char** argv) {
                     {"spxbench methods", "one table of all of this, a row a method"},
                     {"spxbench accuracy", "each set of measured reflectances left out in turn, predicted under 404 lamps"},
                     {"spxbench accuracy --unseen mine.csv", "your own reflectances (wavelength_nm, one column a sample) as well"},
-                    {"spxbench smoothness --methods lattice,otsu2018", "largest change of a spectrum from one code to the next"}}});
+                    {"spxbench smoothness --methods lattice,otsu2018", "largest change of a spectrum from one code to the next"},
+                    {"spxbench stability --colors 100000000", "every numeric path against 113 bits: worst errors, where, and whether bounds hold"}}});
     Request request;
     request.colorimetry.bands = "380:780:5";
-    tool.positional("WHAT", &request.what, 0, 1, "grid, scaling, speed, accuracy, smoothness or methods; grid, where -o is given");
+    tool.positional("WHAT", &request.what, 0, 1, "grid, scaling, speed, accuracy, smoothness, stability or methods; grid, where -o is given");
     tool.list("--methods", "M,...", &request.methods, "methods; all, unless given");
     tool.list("--stores", "S,...", &request.stores,
               "speed: coefficients-float, coefficients-half, spectral-float, spectral-half; all, unless given. "
@@ -242,11 +260,14 @@ int main(int argc, char** argv) {
     tool.text("--baseline", "FILE", &request.grid.baseline, "grid, scaling: the JSON of an earlier run, to which ratios are printed");
     tool.integer("--runs", "N", &request.grid.runs, 1, 1000, "grid, scaling: timed runs of each file, of which the median counts");
     tool.number("--max-megapixels", "N", &request.grid.max_megapixels, 1, 1024, "Mpixel", "scaling: the largest texture");
-    tool.integer("--stride", "N", &request.stride, 1, 65536, "speed: takes every N-th of the sRGB codes");
+    tool.integer("--stride", "N", &request.stride, 1, 65536, "speed, stability: takes every N-th of the sRGB codes");
+    tool.integer("--colors", "N", &request.colors, 0, 1ll << 40, "stability: random linear colours");
+    tool.list("--groups", "G,...", &request.groups, "stability: some of colours, differences, methods, solvers, lights, sums, conditioning; all, unless given");
+    tool.text("--csv", "FILE", &request.csv, "stability: the table as CSV");
     tool.list("--sets", "S,...", &request.sets, "accuracy: sets of measured reflectances; all, unless given");
     tool.list("--unseen", "FILE,...", &request.unseen, "accuracy: tables of reflectances that are predicted and never learnt from");
     tool.integer("--lines", "N", &request.lines, 0, 1000000, "smoothness: random lines through the cube");
-    tool.integer("--seed", "N", &request.seed, 0, 1ll << 53, "smoothness: of the random lines");
+    tool.integer("--seed", "N", &request.seed, 0, 1ll << 53, "smoothness, stability: of what is random");
     tool.add({.names = "-o,--output", .metavar = "DIR", .text = "folder for the table (.md) and its figures (.json); made where there is none",
               .set = [&](std::string_view value) -> Status {
                   if (value.empty()) return app::expected("a folder", value);
@@ -256,15 +277,15 @@ int main(int argc, char** argv) {
     app::add_colorimetry_options(tool, request.colorimetry);
     return tool.main(argc, argv, [&]() -> int {
         if (request.what.empty() && request.folder.empty())
-            return tool.usage_error("expected grid, scaling, speed, accuracy, smoothness or methods, or -o DIR");
+            return tool.usage_error("expected grid, scaling, speed, accuracy, smoothness, stability or methods, or -o DIR");
         const std::string what = request.what.empty() ? "grid" : request.what[0];
         const std::map<std::string, int (*)(app::App&, const Request&, const Colorimetry&)> all{
             {"grid", [](app::App& t, const Request& r, const Colorimetry&) { return bench::grid(t, r.grid); }},
             {"scaling", [](app::App& t, const Request& r, const Colorimetry&) { return bench::scaling(t, r.grid); }},
-            {"speed", speed}, {"accuracy", accuracy}, {"smoothness", smoothness}, {"methods", summary}};
+            {"speed", speed}, {"accuracy", accuracy}, {"smoothness", smoothness}, {"methods", summary}, {"stability", stability}};
         const auto found = all.find(what);
         if (found == all.end())
-            return tool.usage_error(fmt::format("expected grid, scaling, speed, accuracy, smoothness or methods, got '{}'", app::escape(what)));
+            return tool.usage_error(fmt::format("expected grid, scaling, speed, accuracy, smoothness, stability or methods, got '{}'", app::escape(what)));
         for (const auto& id : request.methods)
             if (const auto known = find_method(id); !known) return tool.report(known.error());
         const auto bands = request.colorimetry.band_set();

@@ -6,19 +6,30 @@ namespace {
 // BT.2020-2, table 4, note: the solution of the two equations that join the segments with one slope; BT.709 rounds it.
 constexpr double bt709_alpha = 1.09929682680944, bt709_beta = 0.018053968510807;
 
+// What the doubles nearest to 2.4 and 1 / 2.4 leave of them.
+constexpr double decode_rest = 8.881784197001253e-17, encode_rest = -1.850371707708594e-17;
+
+/// x^(exponent + rest), the rest being what the exponent's own rounding left: it matters where the logarithm is large.
+double power(double x, double exponent, double rest) {
+    const double p = std::pow(x, exponent);
+    return x > 16 && std::isfinite(p) ? p + p * (rest * std::log(x)) : p;
+}
+
 }  // namespace
 
 double srgb_decode(double encoded) {
     const double v = std::fabs(encoded);
-    const double linear = v <= 0.04045 ? v / 12.92 : std::pow((v + 0.055) / 1.055, 2.4);
+    const double linear = v <= 0.04045 ? v / 12.92 : power((v + 0.055) / 1.055, 2.4, decode_rest);
     return std::copysign(linear, encoded);
 }
 
 double srgb_encode(double linear) {
     const double v = std::fabs(linear);
-    // 1.055 p - 0.055, in the form that gives exactly 1 for 1; an infinity stays one.
-    const double encoded = v <= 0.0031308 ? v * 12.92 : 1 + 1.055 * (std::pow(v, 1 / 2.4) - 1);
-    return std::copysign(encoded, linear);
+    if (v <= 0.0031308) return linear * 12.92;
+    const double p = power(v, 1 / 2.4, encode_rest);
+    // 1.055 p - 0.055, near 1 in the form that gives exactly 1 for 1, below it in the one that does not cancel; an infinity
+    // stays one.
+    return std::copysign(v < 0.5 ? 1.055 * p - 0.055 : 1 + 1.055 * (p - 1), linear);
 }
 
 double TransferCurve::decode(double encoded) const {

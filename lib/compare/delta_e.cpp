@@ -20,11 +20,19 @@ double distance(const Vector3& p, const Vector3& q) {
     return std::sqrt(square(p[0] - q[0]) + square(p[1] - q[1]) + square(p[2] - q[2]));
 }
 
-// Square of the metric hue difference, 2 (C1 C2 - a1 a2 - b1 b2), without its cancellation for near hues (Sève 1991).
-double hue_difference_squared(double a1, double b1, double c1, double a2, double b2, double c2) {
+// C2 - C1 by the difference of squares: the roots of near colours would cancel.
+double chroma_difference(double a1, double b1, double c1, double a2, double b2, double c2, double da, double db) {
+    const double sum = c1 + c2;
+    return sum == 0 ? 0 : da * ((a1 + a2) / sum) + db * ((b1 + b2) / sum);
+}
+
+// The metric hue difference, the root of 2 (C1 C2 - a1 a2 - b1 b2), without its cancellation for near hues (Sève 1991), and
+// with the cross product of a colour and a difference, which near colours leave its digits. No square of a square overflows.
+// Signed, positive anticlockwise, where the hues are less than 90 degrees apart; else without a sign.
+double hue_difference(double a1, double b1, double c1, double a2, double b2, double c2, double da, double db) {
     const double dot = a1 * a2 + b1 * b2;
-    if (dot > 0) return 2 * square(a1 * b2 - a2 * b1) / (c1 * c2 + dot);
-    return 2 * (c1 * c2 - dot);
+    if (!(dot > 0)) return std::sqrt(2 * (c1 * c2 - dot));
+    return std::numbers::sqrt2 * (a1 * db - b1 * da) / std::sqrt(c1 * c2 + dot);
 }
 
 // Hue angle in degrees, [0, 360); 0 for a neutral.
@@ -38,7 +46,7 @@ double hue_degrees(double a, double b) {
 
 Vector3 lab_from_xyz(const Vector3& xyz, const Vector3& white) {
     Vector3 f{};
-    for (std::size_t k = 0; k < 3; ++k) f[k] = lab_f(xyz[k] / white[k]);
+    for (std::size_t k = 0; k < 3; ++k) f[k] = lab_f(white[k] == 0 ? 0 : xyz[k] / white[k]);
     return lab_from_f(f);
 }
 
@@ -48,8 +56,9 @@ double delta_e94(const Vector3& lab_reference, const Vector3& lab_sample) {
     const auto& [l1, a1, b1] = lab_reference;
     const auto& [l2, a2, b2] = lab_sample;
     const double c1 = std::sqrt(a1 * a1 + b1 * b1), c2 = std::sqrt(a2 * a2 + b2 * b2);
-    const double hue = hue_difference_squared(a1, b1, c1, a2, b2, c2);
-    return std::sqrt(square(l2 - l1) + square((c2 - c1) / (1 + 0.045 * c1)) + hue / square(1 + 0.015 * c1));
+    const double da = a2 - a1, db = b2 - b1;
+    const double hue = hue_difference(a1, b1, c1, a2, b2, c2, da, db), chroma = chroma_difference(a1, b1, c1, a2, b2, c2, da, db);
+    return std::sqrt(square(l2 - l1) + square(chroma / (1 + 0.045 * c1)) + square(hue / (1 + 0.015 * c1)));
 }
 
 double delta_e2000(const Vector3& lab_reference, const Vector3& lab_sample) {
@@ -68,14 +77,16 @@ double delta_e2000(const Vector3& lab_reference, const Vector3& lab_sample) {
     const double h1 = hue_degrees(ap1, b1), h2 = hue_degrees(ap2, b2);                       // eq. 7
     const bool neutral = cp1 == 0 || cp2 == 0;
 
+    const double da = (1 + g) * (a2 - a1), db = b2 - b1;
     const double dl = l2 - l1;   // eq. 8
-    const double dc = cp2 - cp1;  // eq. 9
-    // Eq. 10 and 11: only the sign needs the angles; the size is Sève's form, exact for near hues.
+    const double dc = chroma_difference(ap1, b1, cp1, ap2, b2, cp2, da, db);  // eq. 9
+    // Eq. 10 and 11: only the sign of far hues needs the angles, which near ones may share to the last bit; the size is Sève's
+    // form, exact for near hues.
     double turn = h2 - h1;
     if (turn > 180) turn -= 360;
     else if (turn < -180) turn += 360;
-    double dh = neutral ? 0 : std::sqrt(hue_difference_squared(ap1, b1, cp1, ap2, b2, cp2));
-    if (turn < 0) dh = -dh;
+    double dh = neutral ? 0 : hue_difference(ap1, b1, cp1, ap2, b2, cp2, da, db);
+    if (turn < 0 && std::fabs(turn) > 60) dh = -std::fabs(dh);
 
     const double mean_l = (l1 + l2) / 2;     // eq. 12
     const double mean_cp = (cp1 + cp2) / 2;  // eq. 13
@@ -118,8 +129,9 @@ double delta_cmc(const Vector3& lab_reference, const Vector3& lab_sample) {
                                             : 0.36 + std::fabs(0.4 * std::cos((h1 + 35) * degree));
     const double f = std::sqrt(1 / (1 + 1900 / square(square(c1))));
     const double sh = sc * (f * t + 1 - f);
-    const double hue = hue_difference_squared(a1, b1, c1, a2, b2, c2);
-    return std::sqrt(square((l2 - l1) / (2 * sl)) + square((c2 - c1) / sc) + hue / square(sh));
+    const double da = a2 - a1, db = b2 - b1;
+    const double hue = hue_difference(a1, b1, c1, a2, b2, c2, da, db), chroma = chroma_difference(a1, b1, c1, a2, b2, c2, da, db);
+    return std::sqrt(square((l2 - l1) / (2 * sl)) + square(chroma / sc) + square(hue / sh));
 }
 
 Vector3 din99_from_lab(const Vector3& lab) {

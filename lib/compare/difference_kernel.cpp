@@ -42,9 +42,11 @@ std::string_view metric_title(Metric metric) { return entry_of(metric).title; }
 
 double pq_encode(double luminance) {
     constexpr double m1 = 2610.0 / 16384, m2 = 2523.0 / 4096 * 128;
-    constexpr double c1 = 3424.0 / 4096, c2 = 2413.0 / 4096 * 32, c3 = 2392.0 / 4096 * 32;
+    constexpr double c1 = 3424.0 / 4096, c3 = 2392.0 / 4096 * 32;
     const double y = std::pow(std::fabs(luminance) / 10000, m1);
-    const double code = std::pow((c1 + c2 * y) / (1 + c3 * y), m2);
+    // (c1 + c2 y) / (1 + c3 y) is 1 + (1 - c1) (y - 1) / (1 + c3 y), for c1 + c2 = 1 + c3: the power of 79 would magnify the
+    // rounding of a number near 1.
+    const double code = std::exp(m2 * std::log1p((1 - c1) * (y - 1) / (1 + c3 * y)));
     static const double zero = std::pow(c1, m2);
     return luminance < 0 ? 2 * zero - code : code;
 }
@@ -91,7 +93,7 @@ constexpr std::size_t block_size = 256;
 
 Matrix3 relative_to(const Vector3& white, Matrix3 m) {
     for (std::size_t row = 0; row < 3; ++row)
-        for (std::size_t column = 0; column < 3; ++column) m(row, column) /= white[row];
+        for (std::size_t column = 0; column < 3; ++column) m(row, column) = white[row] == 0 ? 0 : m(row, column) / white[row];
     return m;
 }
 

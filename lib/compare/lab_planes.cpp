@@ -41,7 +41,7 @@ HWY_INLINE V LabF(D dd, V t) {
 }
 
 template <class In>
-void LabPlanes(const double* m, const In* const* rgb, std::size_t n, double* const* lab) {
+void LabPlanes(const GreyRow* rows, const In* const* rgb, std::size_t n, double* const* lab) {
     const hn::ScalableTag<double> dd;
     const hn::Rebind<In, decltype(dd)> din;
     const std::size_t lanes = hn::Lanes(dd);
@@ -63,8 +63,11 @@ void LabPlanes(const double* m, const In* const* rgb, std::size_t n, double* con
         };
         const auto r = wide(from[0]), g = wide(from[1]), b = wide(from[2]);
         const auto row = [&](int k) HWY_ATTR {
-            return hn::Add(hn::Add(hn::Mul(hn::Set(dd, m[3 * k]), r), hn::Mul(hn::Set(dd, m[3 * k + 1]), g)),
-                           hn::Mul(hn::Set(dd, m[3 * k + 2]), b));
+            const auto base = rows[k].base == 0 ? r : rows[k].base == 1 ? g : b;
+            const auto first = rows[k].base == 0 ? g : r, second = rows[k].base == 2 ? g : b;
+            return hn::Add(hn::Mul(hn::Set(dd, rows[k].sum), base),
+                           hn::Add(hn::Mul(hn::Set(dd, rows[k].first), hn::Sub(first, base)),
+                                   hn::Mul(hn::Set(dd, rows[k].second), hn::Sub(second, base))));
         };
         const auto x = row(0), y = row(1), z = row(2);
         const auto bound = hn::Set(dd, largest);
@@ -97,9 +100,11 @@ void LabPlanes(const double* m, const In* const* rgb, std::size_t n, double* con
     }
 }
 
-void LabPlanesFloat(const double* m, const float* const* rgb, std::size_t n, double* const* lab) { LabPlanes(m, rgb, n, lab); }
-void LabPlanesDouble(const double* m, const double* const* rgb, std::size_t n, double* const* lab) {
-    LabPlanes(m, rgb, n, lab);
+void LabPlanesFloat(const GreyRow* rows, const float* const* rgb, std::size_t n, double* const* lab) {
+    LabPlanes(rows, rgb, n, lab);
+}
+void LabPlanesDouble(const GreyRow* rows, const double* const* rgb, std::size_t n, double* const* lab) {
+    LabPlanes(rows, rgb, n, lab);
 }
 
 }  // namespace spectex::HWY_NAMESPACE
@@ -111,11 +116,26 @@ namespace spectex {
 HWY_EXPORT(LabPlanesFloat);
 HWY_EXPORT(LabPlanesDouble);
 
+GreyRow::GreyRow(const double* row) {
+    for (int k = 1; k < 3; ++k)
+        if (std::fabs(row[k]) > std::fabs(row[base])) base = k;
+    first = row[base == 0 ? 1 : 0], second = row[base == 2 ? 1 : 2];
+    sum = (row[0] + row[1]) + row[2];
+    // Off by what rounding leaves of 1, which the coefficient of the base takes up.
+    if (std::fabs(sum - 1) < 1e-13) sum = 1;
+}
+
+namespace {
+
+std::array<GreyRow, 3> rows_of(const Matrix3& m) { return {GreyRow(&m.m[0]), GreyRow(&m.m[3]), GreyRow(&m.m[6])}; }
+
+}  // namespace
+
 void lab_planes(const Matrix3& to_relative, std::array<const float*, 3> rgb, std::size_t n, std::array<double*, 3> lab) {
-    HWY_DYNAMIC_DISPATCH(LabPlanesFloat)(to_relative.m.data(), rgb.data(), n, lab.data());
+    HWY_DYNAMIC_DISPATCH(LabPlanesFloat)(rows_of(to_relative).data(), rgb.data(), n, lab.data());
 }
 void lab_planes(const Matrix3& to_relative, std::array<const double*, 3> rgb, std::size_t n, std::array<double*, 3> lab) {
-    HWY_DYNAMIC_DISPATCH(LabPlanesDouble)(to_relative.m.data(), rgb.data(), n, lab.data());
+    HWY_DYNAMIC_DISPATCH(LabPlanesDouble)(rows_of(to_relative).data(), rgb.data(), n, lab.data());
 }
 
 }  // namespace spectex

@@ -34,6 +34,16 @@ struct OklabSpace {
     Matrix3 xyz_to_lms;
 };
 
+/// A row of a matrix as sum * v[base] + first * (v[the next one] - v[base]) + second * (v[the last one] - v[base]): where the
+/// rows sum to 1, as those of XYZ over the white's do, grey comes out with three equal components, to the bit, and so with
+/// a* = b* = 0, whose hue no rounding makes up. The base has the largest coefficient, so that nothing cancels.
+struct GreyRow {
+    GreyRow() = default;
+    explicit GreyRow(const double* row);
+    int base = 0;
+    double sum = 0, first = 0, second = 0;
+};
+
 /// Lab of n colours, with t = `to_relative` rgb the XYZ over the white's; every instruction set gives the same bytes.
 /// Cube roots within 2^-50 of lab_f, relative.
 void lab_planes(const Matrix3& to_relative, std::array<const float*, 3> rgb, std::size_t n, std::array<double*, 3> lab);

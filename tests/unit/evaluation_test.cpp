@@ -11,6 +11,7 @@
 #include "reference.h"
 #include "spectex/color.h"
 #include "spectex/solvers.h"
+#include "spectex/stability.h"
 
 namespace {
 
@@ -363,5 +364,28 @@ TEST(Pareto, FrontIsWhatNothingBeats) {
     EXPECT_EQ(front, (std::vector<std::size_t>{1, 3, 0, 5}));
     EXPECT_TRUE(pareto_front({}).empty());
 }
+
+class Stability : public testing::TestWithParam<std::string> {};
+
+// At a size that fits: spxbench stability runs the same over every code and as many colours as one likes.
+TEST_P(Stability, EveryBoundHolds) {
+    StabilityOptions options;
+    options.groups = {GetParam()};
+    options.stride = slow ? 1000003 : 65537;
+    options.colors = slow ? 500 : 8000;
+    options.adversaries = slow ? 257 : 17;
+    const auto report = measure_stability(method_checks::colorimetry("380:780:10"), options);
+    ASSERT_TRUE(report) << report.error().message;
+    ASSERT_FALSE(report->rows.empty());
+    for (const auto& r : report->rows) {
+        EXPECT_TRUE(r.kept()) << r.path << ": " << r.worst << " " << r.unit << " at " << r.worst_at << " (bound " << r.most << "), CIE76 " << r.delta_e << " at "
+                              << r.delta_e_at << " (bound " << r.most_delta_e << "), " << r.broken << " broken, first " << r.broken_at;
+        EXPECT_GT(r.cases, 0u) << r.path;
+        EXPECT_FALSE(r.reason.empty()) << r.path;
+        EXPECT_TRUE(std::isfinite(r.most) || std::isfinite(r.most_delta_e)) << r.path << " has no bound";
+    }
+}
+
+INSTANTIATE_TEST_SUITE_P(Groups, Stability, testing::ValuesIn(stability_groups()), [](const auto& info) { return info.param; });
 
 }  // namespace

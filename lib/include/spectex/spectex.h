@@ -15,4 +15,5 @@
 #include "spectex/scene.h"
 #include "spectex/solvers.h"
 #include "spectex/spectral.h"
+#include "spectex/stability.h"
 #include "spectex/texture_use.h"

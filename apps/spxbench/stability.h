@@ -1,0 +1,16 @@
+// spxbench stability: every numeric path against a reference of 113 bits.
+#pragma once
+
+#include "../common/app.h"
+#include "spectex/stability.h"
+
+namespace spectex::bench {
+
+struct StabilityRequest {
+    StabilityOptions options;
+    std::string folder, csv;
+};
+
+int stability(app::App& tool, const StabilityRequest& request, const Colorimetry& colorimetry);
+
+}  // namespace spectex::bench
