@@ -8,54 +8,11 @@
 #include <cmath>
 #include <numeric>
 
+#include "spectex/heatmap.h"
+
 namespace spectex::app {
-namespace {
 
-/// Bytes of the well-formed UTF-8 sequence at the front of `text` (Unicode 15, table 3-7), or 0.
-std::size_t sequence_length(std::string_view text) {
-    const auto byte = [&](std::size_t i) { return static_cast<unsigned char>(text[i]); };
-    const auto tail = [&](std::size_t i, unsigned low, unsigned high) {
-        return i < text.size() && byte(i) >= low && byte(i) <= high;
-    };
-    const unsigned b = byte(0);
-    if (b < 0x80) return 1;
-    if (b >= 0xC2 && b <= 0xDF) return tail(1, 0x80, 0xBF) ? 2 : 0;
-    if (b >= 0xE0 && b <= 0xEF) {
-        const unsigned low = b == 0xE0 ? 0xA0 : 0x80, high = b == 0xED ? 0x9F : 0xBF;
-        return tail(1, low, high) && tail(2, 0x80, 0xBF) ? 3 : 0;
-    }
-    if (b >= 0xF0 && b <= 0xF4) {
-        const unsigned low = b == 0xF0 ? 0x90 : 0x80, high = b == 0xF4 ? 0x8F : 0xBF;
-        return tail(1, low, high) && tail(2, 0x80, 0xBF) && tail(3, 0x80, 0xBF) ? 4 : 0;
-    }
-    return 0;
-}
-
-}  // namespace
-
-std::string escape(std::string_view text) {
-    std::string out;
-    out.reserve(text.size());
-    while (!text.empty()) {
-        const auto byte = static_cast<unsigned char>(text[0]);
-        std::size_t n = sequence_length(text);
-        // U+0080..U+009F are control characters too: some terminals obey them.
-        const bool c1 = n == 2 && byte == 0xC2 && static_cast<unsigned char>(text[1]) < 0xA0;
-        if (n == 0 || c1 || byte < 0x20 || byte == 0x7F) {
-            n = std::max<std::size_t>(n, 1);
-            if (byte == '\n') out += "\\n";
-            else if (byte == '\t') out += "\\t";
-            else if (byte == '\r') out += "\\r";
-            else
-                for (std::size_t i = 0; i < n; ++i)
-                    out += fmt::format("\\x{:02x}", static_cast<unsigned>(static_cast<unsigned char>(text[i])));
-        } else {
-            out.append(text.substr(0, n));
-        }
-        text.remove_prefix(n);
-    }
-    return out;
-}
+std::string escape(std::string_view text) { return printable(text); }
 
 Error expected(std::string_view what, std::string_view got) {
     constexpr std::size_t longest = 120;

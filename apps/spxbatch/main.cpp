@@ -54,6 +54,33 @@ std::string summary(const BatchReport& r) {
                        r.skipped, r.data, r.failed);
 }
 
+/// The settings of a run, as its page states them.
+std::vector<std::pair<std::string, std::string>> facts(const App& app, const BatchOptions& options, const UpliftOptionSet& set,
+                                                       const BatchReport& r) {
+    std::vector<std::pair<std::string, std::string>> rows{{"Method", r.model}};
+    const auto& s = options.settings;
+    rows.emplace_back("Stored", s.store == Store::coefficients ? std::string("coefficients, three per texel")
+                                : s.choose_bands               ? std::string("spectra in the fewest bands that its lights need")
+                                                               : fmt::format("spectra in {} bands from {:g} to {:g} nm", s.bands.size(), s.bands.front(), s.bands.back()));
+    rows.emplace_back("Samples", s.type ? std::string(pixel_type_name(*s.type)) : std::string("half for textures of 8 bits and half, else float32"));
+    rows.emplace_back("Compression", options.compression.empty() ? "zip" : options.compression);
+    rows.emplace_back("Layout", options.layout == Layout::multipart ? "multipart" : "single part");
+    rows.emplace_back("Outside [0,1]", set.method.gamut == GamutPolicy::clip ? "clipped" : set.method.gamut == GamutPolicy::desaturate ? "desaturated" : "an error");
+    rows.emplace_back("Errors measured", options.check_all ? "on every pixel" : "on every 16th row");
+    rows.emplace_back("Input colour space", options.job.input_colorspace.empty() ? "as each file says" : options.job.input_colorspace);
+    if (s.max_error) rows.emplace_back("Error allowed", fmt::format("CIE76 {:g}", *s.max_error));
+    if (!set.lights.empty()) rows.emplace_back("For lights", fmt::format("{}", fmt::join(set.lights, ", ")));
+    if (s.skip_transparent) rows.emplace_back("Transparent texels", "stored as black");
+    rows.emplace_back("Data maps", options.data == DataMaps::copy ? "copied as they are" : "left alone");
+    for (const auto& pattern : options.include) rows.emplace_back("Only", pattern);
+    for (const auto& pattern : options.exclude) rows.emplace_back("Without", pattern);
+    for (const auto& rule : options.treat_as) rows.emplace_back("Treated as", fmt::format("{} = {}", rule.pattern, texture_use_name(rule.use)));
+    if (options.shard) rows.emplace_back("Shard", fmt::format("{} of {}", options.shard->index, options.shard->count));
+    if (options.dry_run) rows.emplace_back("Dry run", "what would be done; nothing was written");
+    rows.emplace_back("Threads", app.threads() > 0 ? fmt::format("{}", app.threads()) : std::string("all processors"));
+    return rows;
+}
+
 /// What failed, once more at the end, where it is seen.
 int list_failures(App& app, const BatchReport& r) {
     for (const auto& f : r.files)
@@ -161,6 +188,10 @@ int main(int argc, char** argv) {
     app.group("Output");
     app.choice("--layout", "LAYOUT", &layout, {"single", "multipart"},
                "one part (pbrt, spectral viewers), or colour in part 0 and spectrum in part 1 (Mitsuba)");
+    std::optional<std::string> page_path;
+    file("--report", page_path, "write a page on what was done, with thumbnails: one HTML file that stands alone");
+    std::string page_light = "A";
+    app.text("--report-light", "ILLUMINANT", &page_light, "light under which the report shows the outputs; by default the first of --for, else A");
     app.flag("--check", &options.check_all, "measure the round trip of every pixel instead of every 16th row");
     std::string input_colorspace;
     add_input_colorspace(app, input_colorspace);
@@ -175,6 +206,13 @@ int main(int argc, char** argv) {
         if (source.empty() || destination.empty()) return app.usage_error("expected two folders, got an empty name");
         if (yes && !pruning) return app.usage_error("--yes: only goes with --prune");
         if (verifying && pruning) return app.usage_error("--verify: excludes --prune");
+        if (page_path && (verifying || pruning || source == "merge")) return app.usage_error("--report: tells of a conversion, and this converts nothing");
+        if (app.given("--report-light") && !page_path) return app.usage_error("--report-light: needs --report");
+        if (page_path) {
+            if (!page_path->ends_with(".html") && !page_path->ends_with(".htm")) return app.usage_error(fmt::format("--report: expected a name that ends in .html, got '{}'", *page_path));
+            const NamedOutput outputs[] = {{"--report", *page_path}, {"--json", app.json_path()}};
+            if (auto s = check_outputs({}, outputs); !s) return app.report(s.error());
+        }
         // A folder of that name is written ./merge.
         if (source == "merge") return merge(app, destination);
         if (verifying) return verify(app, destination);
@@ -191,6 +229,16 @@ int main(int argc, char** argv) {
         const auto settings = set.settings(app);
         if (!settings) return app.report(settings.error());
         options.settings = *settings;
+        const auto choice = set.store_choice();
+        if (!choice) return app.report(choice.error());
+        if (*choice) {
+            if (app.given("--layout") && options.layout != (*choice)->layout && (*choice)->store == Store::spectral)
+                return app.usage_error("--layout: the readers named by --for-reader need the other layout");
+            if (!app.given("--layout")) options.layout = (*choice)->layout;
+        }
+        if (!app.given("--report-light") && !set.lights.empty()) page_light = set.lights.front();
+        const auto light = parse_illuminant(page_light);
+        if (!light) return app.report({light.error().kind, "--report-light: " + light.error().message});
         options.compression = set.output.compression;
         options.data = data == "copy" ? DataMaps::copy : DataMaps::skip;
         options.jobs = static_cast<int>(jobs);
@@ -221,7 +269,25 @@ int main(int argc, char** argv) {
             }
             record["scene"] = *finished;
         }
+        int code = exit_ok;
+        if (page_path) {
+            BatchPageOptions page;
+            const auto reading = app.progress("report");
+            page.job = job_options(app, reading, input_colorspace);
+            page.settings = options.settings;
+            page.light = *light;
+            page.facts = facts(app, options, set, *r);
+            page.keep_thumbnails = !options.dry_run;
+            const auto written = write_batch_page(*page_path, source, destination, *r, page);
+            if (written) {
+                app.note(fmt::format("{}: {} files, {} with pictures, {:.1f} MB", *page_path, written->rows, written->pictures, static_cast<double>(written->bytes) / 1e6));
+                record["report"] = {{"path", *page_path}, {"rows", written->rows}, {"pictures", written->pictures}, {"from_cache", written->from_cache},
+                                    {"without_pictures", written->without}, {"bytes", written->bytes}};
+            } else {
+                code = app.report(written.error(), *page_path);
+            }
+        }
         app.record(std::move(record));
-        return list_failures(app, *r);
+        return std::max(code, list_failures(app, *r));
     });
 }

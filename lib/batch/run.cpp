@@ -114,6 +114,8 @@ public:
                                      options_.job.input_colorspace);
         const auto& set = options_.settings;
         settings_text_ += fmt::format("\n{}\n{}\n{}", set.max_error.value_or(-1), set.choose_bands, set.least_bands);
+        // Appended where it is on, so that manifests from before it keep their meaning.
+        if (set.skip_transparent) settings_text_ += "\nskip transparent";
         for (const auto& light : set.lights)
             settings_text_ += fmt::format("\n{} {}", light.name, hash_text(fmt::format("{}", fmt::join(light.power.values(), " "))));
 

@@ -1,7 +1,11 @@
 #include "heatmap/text.h"
 
+#include <fmt/format.h>
+
 #include <array>
 #include <cstdint>
+
+#include "spectex/heatmap.h"
 
 namespace spectex::heatmap {
 namespace {
@@ -115,3 +119,29 @@ std::string superscript(int value) {
 }
 
 }  // namespace spectex::heatmap
+
+namespace spectex {
+
+std::string printable(std::string_view text) {
+    std::string out;
+    out.reserve(text.size());
+    while (!text.empty()) {
+        std::uint32_t code = 0;
+        const std::size_t n = heatmap::sequence_length(text, code);
+        const std::size_t length = n == 0 ? 1 : n;
+        // U+0080..U+009F are control characters too: some terminals obey them.
+        if (n == 0 || code < 0x20 || (code >= 0x7F && code < 0xA0)) {
+            if (n != 0 && code == '\n') out += "\\n";
+            else if (n != 0 && code == '\t') out += "\\t";
+            else if (n != 0 && code == '\r') out += "\\r";
+            else
+                for (const char c : text.substr(0, length)) out += fmt::format("\\x{:02x}", static_cast<unsigned char>(c));
+        } else {
+            out.append(text.substr(0, n));
+        }
+        text.remove_prefix(length);
+    }
+    return out;
+}
+
+}  // namespace spectex

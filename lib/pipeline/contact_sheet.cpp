@@ -6,6 +6,7 @@
 #include <filesystem>
 
 #include "pipeline/relight_setup.h"
+#include "pipeline/shrink.h"
 #include "pipeline/strips.h"
 #include "spectral/numeric.h"
 
@@ -19,21 +20,6 @@ constexpr double tile_pixels = 256.0 * 256.0, all_tile_pixels = 16e6;
 constexpr int longest_side = 1024;
 /// A strip or a trim sheet keeps this many rows (or columns) where it has them, rather than shrink to a line.
 constexpr int shortest_side = 16;
-
-/// Which columns of the texture fall into one column of a tile, and how much of each: a box in linear light.
-struct Box {
-    int tile = 0;
-    double ratio = 1;  // texture pixels per tile pixel
-    /// Calls add(tile index, share) for the tile pixels that texture pixel i falls into.
-    template <class Add>
-    void spread(int i, const Add& add) const {
-        const double low = i / ratio, high = (i + 1) / ratio;
-        for (int t = static_cast<int>(low); t < tile && t < high; ++t) {
-            const double part = std::min<double>(t + 1, high) - std::max<double>(t, low);
-            if (part > 0) add(static_cast<std::size_t>(t), part);
-        }
-    }
-};
 
 struct TileSize {
     int width = 1, height = 1;
@@ -88,8 +74,8 @@ Result<Picture> draw(const std::vector<Picture>& pictures, const ContactSheetRep
     constexpr int margin = 20, gap = 18, caption = 60;
     // Small textures are enlarged by whole factors, so that their texels can be seen.
     const int factor = std::max(1, std::min(128 / pictures[0].width, 128 / pictures[0].height));
-    const auto shown = [&](int side) { return std::max(factor, (shortest_side + side - 1) / side) * side; };
-    const int picture_width = shown(pictures[0].width), picture_height = shown(pictures[0].height);
+    const auto enlarged = [&](int side) { return std::max(factor, (shortest_side + side - 1) / side) * side; };
+    const int picture_width = enlarged(pictures[0].width), picture_height = enlarged(pictures[0].height);
     double text_width = 0;
     for (const auto& tile : report.tiles) {
         text_width = std::max(text_width, measure_text(figures_text(tile), small).width);
@@ -266,24 +252,7 @@ Result<ContactSheetReport> contact_sheet(const std::string& input, const std::st
         figures.mean = tiles[k].difference.value() / (static_cast<double>(width) * height);
         figures.max = tiles[k].largest;
         figures.max_at = tiles[k].largest_at;
-        const std::size_t n = tile_width * tile_height;
-        std::array<std::vector<float>, 3> planes;
-        for (std::size_t c = 0; c < 3; ++c) {
-            planes[c].resize(n);
-            for (std::size_t i = 0; i < n; ++i) planes[c][i] = tiles[k].linear[3 * i + c];
-        }
-        const std::array<float*, 3> rgb{planes[0].data(), planes[1].data(), planes[2].data()};
-        if (!(*transform)->is_identity()) (*transform)->apply(rgb, n);
-        Picture picture{size.width, size.height, std::vector<std::uint8_t>(3 * n)};
-        for (std::size_t i = 0; i < n; ++i)
-            for (std::size_t c = 0; c < 3; ++c) {
-                const float v = planes[c][i];
-                // Codes within half of the ends are those codes; beyond, a sample was clipped.
-                if (v < -0.5F / 255 || v > 255.5F / 255) ++figures.clipped;
-                // A comparison that a NaN fails, so that one is black.
-                picture.rgb[3 * i + c] = static_cast<std::uint8_t>(std::lround(v > 0 ? std::min(v, 1.0F) * 255 : 0.0F));
-            }
-        pictures.push_back(std::move(picture));
+        pictures.push_back(shown(tiles[k].linear, size.width, size.height, **transform, figures.clipped));
         report.tiles.push_back(std::move(figures));
     }
     static constexpr const char* adaptations[] = {"no adaptation", "von Kries adaptation", "Bradford adaptation", "CAT02 adaptation",

@@ -90,6 +90,27 @@ struct BatchReport {
 /// its manifest is unusable; what solve_model says.
 SPECTEX_API Result<BatchReport> run_batch(const std::string& source, const std::string& destination, const BatchOptions& options);
 
+/// What the report's page says beside the files.
+struct BatchPageOptions {
+    JobOptions job;           ///< threads; progress over the textures that are read for thumbnails
+    UpliftSettings settings;  ///< of the run
+    Illuminant light;         ///< that the outputs are shown under
+    std::vector<std::pair<std::string, std::string>> facts;  ///< settings, for people
+    std::size_t most_rows = 10000;      ///< of the table: failures first, then the largest errors
+    std::size_t most_pictures = 1000;   ///< textures with thumbnails: those of the largest errors
+    bool keep_thumbnails = true;        ///< in DST/.spxbatch, so that the next report reads only what has changed
+};
+struct BatchPageReport {
+    std::size_t rows = 0, pictures = 0, from_cache = 0, without = 0;  ///< without: outputs that could not be shown
+    std::uint64_t bytes = 0;
+};
+/// One HTML page that stands alone: totals, failures, settings, histograms of the errors, what was left alone and why, and a
+/// table that sorts, with thumbnails of each texture before and after relighting and of its errors. Figures of files that
+/// were up to date are the manifest's. Names are escaped, whatever they hold; the page asks for nothing from outside.
+/// @error output; usage when the folder is missing.
+SPECTEX_API Result<BatchPageReport> write_batch_page(const std::string& path, const std::string& source, const std::string& destination,
+                                                     const BatchReport& report, const BatchPageOptions& options);
+
 /// Rereads every output that the manifest knows and compares hashes: `skipped` are whole, `failed` are not and will be made
 /// again by the next run.
 SPECTEX_API Result<BatchReport> verify_batch(const std::string& destination);

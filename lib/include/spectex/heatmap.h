@@ -18,6 +18,9 @@
 
 namespace spectex {
 
+/// Text from outside made safe to show: control characters and bytes that are not UTF-8 become \n, \t, \xNN.
+SPECTEX_API std::string printable(std::string_view text);
+
 /// An 8-bit sRGB colour.
 using Rgb8 = std::array<std::uint8_t, 3>;
 

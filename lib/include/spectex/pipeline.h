@@ -295,6 +295,25 @@ struct HeatmapReport {
 SPECTEX_API Result<HeatmapReport> heatmap(const std::string& map_or_a, const std::string& b, const std::string& output,
                                           const HeatmapOptions& options);
 
+/// A texture's picture, the picture of what was made of it, and where they differ.
+struct ThumbnailOptions {
+    JobOptions job;
+    UpliftSettings settings;  ///< by which the output was made
+    Illuminant light;         ///< that the output is shown under
+    int side = 64;            ///< pixels of the longer side, at most; smaller textures keep their size
+};
+struct Thumbnails {
+    Picture source;  ///< as it looks
+    Picture relit;   ///< the output under the light, not adapted to it
+    Picture errors;  ///< thumbnail_error_color of the largest CIE76 of the round trip within each pixel
+};
+/// Colour of a difference on a logarithmic scale that all thumbnails share, so that they can be compared.
+inline constexpr double thumbnail_error_low = 1e-3, thumbnail_error_high = 10;
+SPECTEX_API Rgb8 thumbnail_error_color(const ColorMap& map, double difference);
+/// Small pictures of a texture and of the file that uplift() made of it, by one pass over each.
+/// @error usage for a side beyond 1 to 1024; input for a file that cannot be read.
+SPECTEX_API Result<Thumbnails> thumbnails(const std::string& input, const std::string& output, const ThumbnailOptions& options);
+
 /// A picture to a file of 8 bits, by its suffix. @error usage for a format of another type; output when it cannot be written.
 SPECTEX_API Status write_picture(const std::string& output, const Picture& picture, int threads);
 
