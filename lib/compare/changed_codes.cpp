@@ -1,3 +1,4 @@
+#include <algorithm>
 #include <array>
 #include <bit>
 #include <cmath>
@@ -22,7 +23,7 @@ public:
             if (t < linear) t = std::nextafter(t, 2.0f);
             threshold_[static_cast<std::size_t>(k)] = t;
         }
-        threshold_[256] = std::numeric_limits<float>::infinity();
+        threshold_[256] = std::numeric_limits<float>::quiet_NaN();  // which nothing reaches, not even infinity
         first_bucket_ = bucket_of(threshold_[1]);
         std::size_t code = 0;
         for (std::size_t i = 0; i < buckets; ++i) {
@@ -30,14 +31,15 @@ public:
             while (threshold_[code + 1] <= start) ++code;
             code_[i] = static_cast<std::uint8_t>(code);
         }
+        lowest_ = std::bit_cast<float>(first_bucket_ << shift);
+        highest_ = std::bit_cast<float>(((first_bucket_ + static_cast<std::uint32_t>(buckets)) << shift) - 1);
     }
 
+    /// Without a branch: which way one would go is as random as the pixels. NaN gives any code.
     unsigned operator()(float v) const {
-        if (!(v >= threshold_[1])) return 0;
-        if (v >= threshold_[255]) return 255;
-        unsigned code = code_[bucket_of(v) - first_bucket_];
-        while (v >= threshold_[code + 1]) ++code;
-        return code;
+        const float inside = std::min(highest_, std::max(lowest_, v));  // in this order NaN becomes the lowest
+        const unsigned code = code_[(std::bit_cast<std::uint32_t>(inside) >> shift) - first_bucket_];
+        return code + static_cast<unsigned>(v >= threshold_[code + 1]);
     }
 
 private:
@@ -49,6 +51,7 @@ private:
 
     std::array<float, 257> threshold_{};
     std::uint32_t first_bucket_ = 0;
+    float lowest_ = 0, highest_ = 0;  // of all buckets
     std::array<std::uint8_t, buckets> code_{};
 };
 
@@ -61,8 +64,7 @@ std::uint64_t count_changed_codes(std::array<const float*, 3> a, std::array<cons
         bool differs = false;
         for (std::size_t k = 0; k < 3; ++k) {
             const float p = a[k][i], q = b[k][i];
-            if (p == q) continue;  // never for NaN
-            differs |= std::isnan(p) || std::isnan(q) || code(p) != code(q);
+            differs |= std::isnan(p) | std::isnan(q) | (code(p) != code(q));
         }
         changed += differs;
     }

@@ -1,6 +1,7 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <type_traits>
 
 #include "compare/spaces.h"
 #include "spectex/compare.h"
@@ -97,6 +98,9 @@ Matrix3 relative_to(const Vector3& white, Matrix3 m) {
     return m;
 }
 
+using LabPlanes = std::array<const double*, 3>;
+
+/// @param delta  of two colours, or of planes of them.
 template <class T, class F>
 void over_lab(const Matrix3& a_to_relative, const Matrix3& b_to_relative, std::array<const T*, 3> a,
               std::array<const T*, 3> b, std::size_t n, T* out, F delta) {
@@ -105,9 +109,12 @@ void over_lab(const Matrix3& a_to_relative, const Matrix3& b_to_relative, std::a
         const std::size_t count = std::min(block_size, n - begin);
         lab_planes(a_to_relative, {a[0] + begin, a[1] + begin, a[2] + begin}, count, {la[0], la[1], la[2]});
         lab_planes(b_to_relative, {b[0] + begin, b[1] + begin, b[2] + begin}, count, {lb[0], lb[1], lb[2]});
-        for (std::size_t i = 0; i < count; ++i)
-            out[begin + i] = static_cast<T>(
-                delta(Vector3{la[0][i], la[1][i], la[2][i]}, Vector3{lb[0][i], lb[1][i], lb[2][i]}));
+        if constexpr (std::is_invocable_v<F, const LabPlanes&, const LabPlanes&, std::size_t, T*>)
+            delta({la[0], la[1], la[2]}, {lb[0], lb[1], lb[2]}, count, out + begin);
+        else
+            for (std::size_t i = 0; i < count; ++i)
+                out[begin + i] = static_cast<T>(
+                    delta(Vector3{la[0][i], la[1][i], la[2][i]}, Vector3{lb[0][i], lb[1][i], lb[2][i]}));
     }
 }
 
@@ -133,7 +140,9 @@ void run(Metric metric, const Matrix3& a_to_xyz, const Matrix3& b_to_xyz, const 
     switch (metric) {
         case Metric::cie76: return with([](V p, V q) { return delta_e76(p, q); });
         case Metric::cie94: return with([](V p, V q) { return delta_e94(p, q); });
-        case Metric::ciede2000: return with([](V p, V q) { return delta_e2000(p, q); });
+        case Metric::ciede2000:
+            if constexpr (std::is_same_v<T, float>) return with(delta_e2000_planes);
+            else return with([](V p, V q) { return delta_e2000(p, q); });
         case Metric::cmc: return with([](V p, V q) { return delta_cmc(p, q); });
         case Metric::din99: return with([](V p, V q) { return delta_e_din99(p, q); });
         case Metric::itp:

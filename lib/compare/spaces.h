@@ -49,4 +49,8 @@ struct GreyRow {
 void lab_planes(const Matrix3& to_relative, std::array<const float*, 3> rgb, std::size_t n, std::array<double*, 3> lab);
 void lab_planes(const Matrix3& to_relative, std::array<const double*, 3> rgb, std::size_t n, std::array<double*, 3> lab);
 
+/// delta_e2000 of n pairs of Lab in float: within 5e-6 of it, relative, plus 1e-11 (1e-7 but for blues, whose rotation
+/// term cancels), save where the formula itself jumps: opposite hues. Exactly 0 for equal colours, symmetric; every instruction set gives the same bytes.
+void delta_e2000_planes(std::array<const double*, 3> a, std::array<const double*, 3> b, std::size_t n, float* out);
+
 }  // namespace spectex

@@ -283,6 +283,70 @@ TEST(Lab, planes_keep_to_the_scalar_formula) {
     }
 }
 
+// Runs a check on each instruction set of this machine; restores its own choice.
+template <class F>
+void on_every_target(F check) {
+    const std::int64_t all = hwy::SupportedTargets() & HWY_TARGETS;
+    for (std::int64_t left = all; left != 0; left &= left - 1) {
+        const std::int64_t target = left & -left;
+        hwy::SetSupportedTargetsForTest(target);
+        hwy::GetChosenTarget().Update(target);
+        SCOPED_TRACE(hwy::TargetName(target));
+        check();
+    }
+    hwy::SetSupportedTargetsForTest(0);
+    hwy::GetChosenTarget().Update(hwy::SupportedTargets());
+}
+
+TEST(DeltaE, ciede2000_in_planes_keeps_to_its_reference_on_every_target) {
+    std::vector<Pair> pairs = sharma_pairs();
+    for (const Pair& p : random_pairs(60000, 31)) pairs.push_back(p);
+    std::mt19937 engine(32);
+    std::uniform_real_distribution<double> exponent(-14, 0), angle(0, 2 * std::numbers::pi), chroma(0, 130), lightness(0, 100);
+    for (int i = 0; i < 60000; ++i) {
+        // Neighbours at any distance, greys and near greys beside anything, the blue of the rotation term, exact neutrals.
+        const double h = i % 2 ? angle(engine) : 275 / 57.29578 + 0.6 * (angle(engine) - 3), c = i % 7 ? chroma(engine) : std::pow(10, exponent(engine));
+        Pair p{{lightness(engine), c * std::cos(h), c * std::sin(h)}, {}, 0};
+        const double d = std::pow(10, exponent(engine)), e = angle(engine);
+        p.lab2 = {p.lab1[0] + d * std::cos(3 * e), p.lab1[1] + d * std::cos(e), p.lab1[2] + d * std::sin(e)};
+        if (i % 5 == 0) p.lab2 = {lightness(engine), 1e-9 * chroma(engine), -1e-9 * chroma(engine)};
+        if (i % 11 == 0) p.lab1[1] = p.lab1[2] = 0;
+        if (i % 13 == 0) p.lab2[1] = p.lab2[2] = 0;
+        if (i % 17 == 0) p.lab2 = p.lab1;
+        pairs.push_back(p);
+    }
+    // What the float path does not take: magnitudes over 1e4, NaN.
+    for (const double v : {1e4, 1.0001e4, 1e30, -1e60, std::nan("")}) pairs.push_back({{50, v, 20}, {40, 30, v}, 0});
+    std::array<std::vector<double>, 6> planes;
+    for (const Pair& p : pairs)
+        for (std::size_t k = 0; k < 3; ++k) planes[k].push_back(p.lab1[k]), planes[3 + k].push_back(p.lab2[k]);
+    const auto at = [&](std::size_t first) { return std::array<const double*, 3>{planes[first].data(), planes[first + 1].data(), planes[first + 2].data()}; };
+    std::vector<float> first;
+    on_every_target([&] {
+        std::vector<float> out(pairs.size()), swapped(pairs.size());
+        delta_e2000_planes(at(0), at(3), pairs.size(), out.data());
+        delta_e2000_planes(at(3), at(0), pairs.size(), swapped.data());
+        if (first.empty()) first = out;
+        for (std::size_t i = 0; i < pairs.size(); ++i) {
+            const Pair& p = pairs[i];
+            const double expected = delta_e2000(p.lab1, p.lab2);
+            if (std::isnan(expected)) {
+                ASSERT_TRUE(std::isnan(out[i])) << i;
+                continue;
+            }
+            ASSERT_EQ(out[i], first[i]) << i;
+            ASSERT_EQ(out[i], swapped[i]) << i;
+            if (p.lab1 == p.lab2) {
+                ASSERT_EQ(out[i], 0) << i;
+            }
+            // A few roundings of float, 6e-8 each, in the terms of chroma and hue, whose squares the rotation term can cancel
+            // to (2 - sqrt 3) / (2 + sqrt 3), a fourteenth.
+            ASSERT_NEAR(out[i], expected, 5e-6 * expected + 1e-11)
+                << i << ": " << p.lab1[0] << " " << p.lab1[1] << " " << p.lab1[2] << ", " << p.lab2[0] << " " << p.lab2[1] << " " << p.lab2[2];
+        }
+    });
+}
+
 Real lab_distance(const Vector3& x, const Vector3& y, Metric metric) {
     const auto lab = [](const Vector3& rgb) {
         std::array<Real, 3> f{};
@@ -334,11 +398,7 @@ TEST(DifferenceKernel, gives_the_same_bytes_on_every_target_and_for_every_split)
     a[2][77] = 3e38f;
     b[0][78] = -3e38f;
     std::vector<std::vector<float>> first(7);
-    const std::int64_t all = hwy::SupportedTargets() & HWY_TARGETS;
-    for (std::int64_t left = all; left != 0; left &= left - 1) {
-        const std::int64_t target = left & -left;
-        hwy::SetSupportedTargetsForTest(target);
-        hwy::GetChosenTarget().Update(target);
+    on_every_target([&] {
         for (int m = 0; m < 7; ++m) {
             const DifferenceKernel kernel(static_cast<Metric>(m), bt709, bt709, d65);
             std::vector<float> whole(n), split(n);
@@ -354,9 +414,7 @@ TEST(DifferenceKernel, gives_the_same_bytes_on_every_target_and_for_every_split)
             EXPECT_TRUE(std::isnan(expected[5]));
             EXPECT_TRUE(std::isfinite(expected[77]));
         }
-    }
-    hwy::SetSupportedTargetsForTest(0);
-    hwy::GetChosenTarget().Update(hwy::SupportedTargets());
+    });
 }
 
 TEST(DifferenceKernel, is_exactly_zero_for_equal_pixels_and_takes_either_side_by_its_own_matrix) {

@@ -36,7 +36,8 @@ SPECTEX_API double delta_cmc(const Vector3& lab_reference, const Vector3& lab_sa
 /// DIN 6176:2001 with kE = kCH = 1. Symmetric. Below L* = 0 the lightness scale goes on with its slope at 0.
 SPECTEX_API double delta_e_din99(const Vector3& lab_reference, const Vector3& lab_sample);
 
-/// Differences of n pixels given as linear RGB; double inside, rounded once to the planes' own type. Each pixel's bytes
+/// Differences of n pixels given as linear RGB; double inside, rounded once to the planes' own type, but for CIEDE2000 of
+/// floats: its differences of Lab are taken in double and weighed in float, to within 5e-6 of the result. Each pixel's bytes
 /// depend on that pixel alone, not on the split into calls nor on the instruction set's width.
 /// itp: ITU-R BT.2124 (720 times the distance in I, T, P); XYZ becomes linear BT.2020 by the matrix of BT.2020's primaries
 /// and the reference white, which stands at 203 cd/m2, the diffuse white of ITU-R BT.2408; negative light mirrors the PQ
