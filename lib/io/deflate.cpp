@@ -42,6 +42,20 @@ void deflate_append(const std::uint8_t* in, std::size_t n, bool last, std::vecto
     out.resize(at);
 }
 
+bool inflate_whole(std::span<const std::uint8_t> in, std::span<std::uint8_t> out) {
+    constexpr std::size_t most = std::numeric_limits<std::uint32_t>::max();
+    if (in.size() > most || out.size() > most) return false;
+    thread_local inflate_state state;
+    isal_inflate_init(&state);
+    state.crc_flag = ISAL_ZLIB;
+    // The interface takes a pointer to bytes that it only reads.
+    state.next_in = const_cast<std::uint8_t*>(in.data());
+    state.avail_in = static_cast<std::uint32_t>(in.size());
+    state.next_out = out.data();
+    state.avail_out = static_cast<std::uint32_t>(out.size());
+    return isal_inflate_stateless(&state) == ISAL_DECOMP_OK && state.avail_out == 0;
+}
+
 std::uint32_t adler32(const std::uint8_t* in, std::size_t n) { return isal_adler32(1, in, n); }
 
 std::uint32_t adler32_join(std::uint32_t first, std::uint32_t second, std::size_t length) {

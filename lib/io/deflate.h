@@ -4,6 +4,7 @@
 
 #include <cstddef>
 #include <cstdint>
+#include <span>
 #include <vector>
 
 namespace spectex::io {
@@ -17,6 +18,9 @@ inline constexpr std::uint8_t zlib_head[2] = {0x78, 0x01};
 /// Appends one segment of raw deflate data (RFC 1951) that ends on a byte border. @param last  ends the stream.
 /// @throws std::runtime_error when the encoder fails, std::bad_alloc.
 void deflate_append(const std::uint8_t* in, std::size_t n, bool last, std::vector<std::uint8_t>& out);
+
+/// A whole zlib stream. @return whether it is one, holds just out.size() bytes and has their checksum.
+bool inflate_whole(std::span<const std::uint8_t> in, std::span<std::uint8_t> out);
 
 /// Adler-32 of a segment, and of two neighbours from theirs; `length` is of the second.
 std::uint32_t adler32(const std::uint8_t* in, std::size_t n);

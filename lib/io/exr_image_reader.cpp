@@ -13,10 +13,16 @@
 #include <OpenEXR/ImfTileDescription.h>
 
 #include <algorithm>
+#include <atomic>
+#include <cstring>
 #include <limits>
 #include <set>
 
+#include <tbb/parallel_for.h>
+
 #include "io/exr_input.h"
+#include "io/exr_zip.h"
+#include "kernels/convert.h"
 
 namespace spectex::io {
 namespace {
@@ -41,6 +47,24 @@ int block_rows(Imf::Compression c) {
 }
 
 std::int64_t imf_bytes(Imf::PixelType type) { return type == Imf::HALF ? 2 : 4; }
+
+template <std::size_t Sample>
+void spread(const std::byte* in, std::size_t n, std::byte* out, std::size_t stride) {
+    for (std::size_t i = 0; i < n; ++i, in += Sample, out += stride) std::memcpy(out, in, Sample);
+}
+
+/// A row of one channel; halves widen only into a plane.
+void copy_row(const std::byte* in, Imf::PixelType from, std::size_t n, std::byte* out, Imf::PixelType to, std::size_t stride) {
+    const auto sample = static_cast<std::size_t>(imf_bytes(from));
+    if (from != to)
+        kernels::half_to_float(reinterpret_cast<const std::uint16_t*>(in), 1, n, reinterpret_cast<float*>(out));
+    else if (stride == sample)
+        std::memcpy(out, in, n * sample);
+    else if (sample == 2)
+        spread<2>(in, n, out, stride);
+    else
+        spread<4>(in, n, out, stride);
+}
 
 }  // namespace
 
@@ -94,6 +118,8 @@ Result<std::unique_ptr<ExrInput>> ExrInput::open(const std::string& path, int th
         // Without a rebuilt offset table an unfinished file is an error rather than a picture with holes.
         self->file_ = std::make_unique<Imf::MultiPartInputFile>(path.c_str(), count > 1 ? count : 0, false);
         self->inputs_.resize(static_cast<std::size_t>(self->file_->parts()));
+        self->zips_.resize(self->inputs_.size());
+        self->parallel_ = count > 1;
         return self;
     });
 }
@@ -152,6 +178,135 @@ Imf::InputPart& ExrInput::part(int index) {
     return *input;
 }
 
+/// A part of ZIP chunks.
+struct ExrInput::ZipPart {
+    struct Channel {
+        std::string name;
+        Imf::PixelType type;
+        std::size_t offset = 0;  ///< of its samples in a row, bytes
+    };
+    std::vector<Channel> channels;
+    std::size_t row_bytes = 0;
+    int first_row = 0, height = 0, width = 0, x = 0, chunk_rows = 1;
+    bool usable = false;
+    /// The last chunk, where only some of its rows were taken.
+    int kept_chunk = -1;
+    std::vector<std::byte> kept;
+};
+
+ExrInput::ExrInput() = default;
+ExrInput::~ExrInput() = default;
+
+void ExrInput::read(int index, const Imf::FrameBuffer& frame, int y, int rows) {
+    auto& zip = zips_[static_cast<std::size_t>(index)];
+    if (!zip) {
+        zip = std::make_unique<ZipPart>();
+        const Imf::Header& h = header(index);
+        const Imath::Box2i& window = h.dataWindow();
+        const Imf::Compression c = h.compression();
+        zip->chunk_rows = block_rows(c);
+        zip->x = window.min.x;
+        zip->first_row = window.min.y;
+        zip->width = window.max.x - window.min.x + 1;
+        zip->height = window.max.y - window.min.y + 1;
+        for (auto it = h.channels().begin(); it != h.channels().end(); ++it) {
+            zip->channels.push_back({it.name(), it.channel().type, zip->row_bytes});
+            zip->row_bytes += static_cast<std::size_t>(imf_bytes(it.channel().type)) * static_cast<std::size_t>(zip->width);
+        }
+        // A chunk's size is a signed 32-bit number.
+        zip->usable = (c == Imf::ZIP_COMPRESSION || c == Imf::ZIPS_COMPRESSION) && !h.hasTileDescription() &&
+                      zip->row_bytes * static_cast<std::size_t>(zip->chunk_rows) < (std::size_t{1} << 30);
+    }
+    if (zip->usable) {
+        if (read_zip(index, *zip, frame, y, rows)) return;
+        // OpenEXR keeps rows of its own between calls, which chunks read past it would not renew: one way from here on.
+        zip->usable = false;
+        zip->kept = {};
+    }
+    Imf::InputPart& input = part(index);
+    input.setFrameBuffer(frame);
+    input.readPixels(zip->first_row + y, zip->first_row + y + rows - 1);
+}
+
+bool ExrInput::read_zip(int index, ZipPart& zip, const Imf::FrameBuffer& frame, int y, int rows) {
+    struct Copy {
+        const ZipPart::Channel* channel;
+        const Imf::Slice* slice;
+    };
+    std::vector<Copy> copies;
+    std::size_t found = 0;
+    for (const ZipPart::Channel& c : zip.channels) {
+        const Imf::Slice* slice = frame.findSlice(c.name);
+        if (!slice) continue;
+        ++found;
+        const bool widened = c.type == Imf::HALF && slice->type == Imf::FLOAT && slice->xStride == sizeof(float);
+        if (slice->type != c.type && !widened) return false;
+        copies.push_back({&c, slice});
+    }
+    for (auto it = frame.begin(); it != frame.end(); ++it) found -= 1;
+    if (found != 0) return false;
+
+    struct Chunk {
+        int number = 0;
+        std::vector<std::uint8_t> payload;
+    };
+    const int first = y / zip.chunk_rows, last = (y + rows - 1) / zip.chunk_rows;
+    const auto rows_of = [&](int chunk) { return std::min(zip.chunk_rows, zip.height - chunk * zip.chunk_rows); };
+    std::vector<Chunk> chunks;
+    for (int number = first; number <= last; ++number) {
+        chunks.push_back({number, {}});
+        if (number == zip.kept_chunk) continue;
+        const char* bytes = nullptr;
+        int size = 0;
+        part(index).rawPixelData(zip.first_row + number * zip.chunk_rows, bytes, size);
+        if (size < 0) return false;
+        chunks.back().payload.assign(bytes, bytes + size);
+    }
+    std::atomic<bool> good{true};
+    std::vector<std::byte> kept;
+    const auto unpack = [&](std::size_t i) {
+        thread_local std::vector<std::byte> buffer;
+        const Chunk& chunk = chunks[i];
+        const int begin = chunk.number * zip.chunk_rows;
+        const std::size_t size = zip.row_bytes * static_cast<std::size_t>(rows_of(chunk.number));
+        const std::byte* samples = nullptr;
+        if (chunk.number == zip.kept_chunk) {
+            samples = zip.kept.data();
+        } else if (chunk.payload.size() == size) {
+            samples = reinterpret_cast<const std::byte*>(chunk.payload.data());  // stored as it is
+        } else {
+            buffer.resize(std::max(buffer.size(), size));
+            if (chunk.payload.size() > size || !unpack_zip_chunk(chunk.payload, {buffer.data(), size})) {
+                good = false;
+                return;
+            }
+            samples = buffer.data();
+        }
+        // Only the last chunk is asked for again: rows are read in their order.
+        if (chunk.number == last && begin + rows_of(last) > y + rows) kept.assign(samples, samples + size);
+        for (int row = std::max(begin, y); row < std::min(begin + rows_of(chunk.number), y + rows); ++row) {
+            const std::byte* line = samples + zip.row_bytes * static_cast<std::size_t>(row - begin);
+            for (const auto& [channel, slice] : copies) {
+                auto* out = reinterpret_cast<std::byte*>(
+                    reinterpret_cast<std::uintptr_t>(slice->base) +
+                    static_cast<std::uintptr_t>(static_cast<std::intptr_t>(zip.x)) * slice->xStride +
+                    static_cast<std::uintptr_t>(static_cast<std::intptr_t>(zip.first_row) + row) * slice->yStride);
+                copy_row(line + channel->offset, channel->type, static_cast<std::size_t>(zip.width), out, slice->type, slice->xStride);
+            }
+        }
+    };
+    if (parallel_ && chunks.size() > 1)
+        tbb::parallel_for(std::size_t{0}, chunks.size(), unpack);
+    else
+        for (std::size_t i = 0; i < chunks.size(); ++i) unpack(i);
+    if (!good) return false;
+    if (!kept.empty() || zip.kept_chunk != last) {
+        zip.kept_chunk = kept.empty() ? -1 : last;
+        zip.kept = std::move(kept);
+    }
+    return true;
+}
+
 namespace {
 
 class ExrImageReader final : public ImageReader {
@@ -173,9 +328,7 @@ public:
                 frame.insert(header_.channels[c],
                              exr_slice(header_.type == PixelType::half ? Imf::HALF : Imf::FLOAT, out + c * sample, pixel,
                                        pixel * static_cast<std::size_t>(g.width), g, y));
-            Imf::InputPart& part = input_->part(0);
-            part.setFrameBuffer(frame);
-            part.readPixels(g.y + y, g.y + y + rows - 1);
+            input_->read(0, frame, y, rows);
             return {};
         });
         if (status) return {};

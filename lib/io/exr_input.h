@@ -22,6 +22,8 @@ struct ExrPartInfo {
 
 class ExrInput {
 public:
+    ExrInput();
+    ~ExrInput();
     /// Opens the file and reads all headers. @error input.
     static Result<std::unique_ptr<ExrInput>> open(const std::string& path, int threads);
     int parts() const { return file_->parts(); }
@@ -30,8 +32,16 @@ public:
     Result<ExrPartInfo> describe(int part, const Limits& limits) const;
     /// Makes the part readable; only after describe() found it within limits.
     Imf::InputPart& part(int index);
+    /// Fills the slices with rows y .. y + rows - 1 of the data window, counted from its first. ZIP chunks of scan lines are
+    /// unpacked by all threads; every other layout, and whatever is damaged, is left to OpenEXR.
+    /// @throws what OpenEXR does.
+    void read(int part, const Imf::FrameBuffer& frame, int y, int rows);
 
 private:
+    struct ZipPart;
+    bool read_zip(int part, ZipPart& zip, const Imf::FrameBuffer& frame, int y, int rows);
+    bool parallel_ = false;
+    std::vector<std::unique_ptr<ZipPart>> zips_;
     std::string path_;
     std::unique_ptr<Imf::MultiPartInputFile> file_;
     std::vector<std::unique_ptr<Imf::InputPart>> inputs_;

@@ -28,4 +28,8 @@ struct ChunkRequest {
 void pack_zip_chunks(std::span<const ChunkRequest> requests, std::span<const SampleLayout> layouts, int width, bool parallel,
                      std::vector<std::vector<std::uint8_t>>& payloads);
 
+/// The samples of a chunk as they lie in the file without compression: by row, by channel.
+/// @param payload  as a file holds it, compressed. @return false where it is no zlib stream of just that many samples.
+bool unpack_zip_chunk(std::span<const std::uint8_t> payload, std::span<std::byte> samples);
+
 }  // namespace spectex::io

@@ -225,11 +225,7 @@ public:
             for (std::size_t i = 0; i < planes.size(); ++i)
                 add(layout_.data[i], reinterpret_cast<std::byte*>(planes[i]), PixelType::float32);
             for (std::size_t i = 0; i < others.size(); ++i) add(layout_.others[i], others[i], layout_.others[i].type);
-            for (const auto& [index, frame] : frames) {
-                Imf::InputPart& part = input_->part(index);
-                part.setFrameBuffer(frame);
-                part.readPixels(g.y + y, g.y + y + rows - 1);
-            }
+            for (const auto& [index, frame] : frames) input_->read(index, frame, y, rows);
             return {};
         });
         if (status) return {};
