@@ -93,6 +93,8 @@ Bounds formula_bounds(Metric metric) {
 
 Bounds kernel_bounds(Metric metric, bool single) {
     const bool pq = metric == Metric::itp;
+    if (single && metric == Metric::ciede2000)
+        return {128, 1e-3, "what weighs the differences is float: 5e-6 of the result where the rotation term cancels, below 1e-6 elsewhere"};
     if (single)
         return {pq ? 64.0 : 32.0, 1e-10,
                 pq ? "1 of the last rounding, and for differences near 1e-6 what 720 times the PQ curve, of slope 79, leaves in double"
