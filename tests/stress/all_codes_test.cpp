@@ -224,7 +224,7 @@ TEST(AllCodes, OtsuErrsOnlyWhereItClamps) {
     printf("otsu2018 mean CIE76 %.4g max %.4g changed %llu\n", worst.sum / all_codes * 15, worst.max,
            static_cast<unsigned long long>(worst.changed));
     EXPECT_GT(worst.changed, 0u);
-    EXPECT_LT(worst.max, 200);
+    EXPECT_LT(worst.max, 35);  // 27.4 where out-of-range values of the most saturated colours are clamped
 }
 
 TEST(AllCodes, MengErrsAsItDoes) {
