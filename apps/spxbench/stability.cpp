@@ -22,7 +22,7 @@ int stability(app::App& tool, const StabilityRequest& request, const Colorimetry
                    {"colors", request.options.colors}, {"failures", report->failures()}, {"rows", app::Json::array()},
                    {"solvers", app::Json::array()}};
     for (const auto& r : report->rows) {
-        const std::string at = r.broken > 0 ? fmt::format("{} broken, first {}", r.broken, r.broken_at) : r.worst_at;
+        const std::string at = r.broken > 0 ? fmt::format("{} broken, first {}", r.broken, r.broken_at) : r.worst_at.empty() ? r.delta_e_at : r.worst_at;
         table.add({r.path, std::to_string(r.cases), figure(r.worst), r.unit, std::isfinite(r.most) ? figure(r.most) : "", figure(r.delta_e),
                    std::isfinite(r.most_delta_e) ? figure(r.most_delta_e) : "", at, r.kept() ? "yes" : "NO"});
         json["rows"].push_back({{"group", r.group}, {"path", r.path}, {"cases", r.cases}, {"worst", r.worst}, {"unit", r.unit}, {"worst_at", r.worst_at},

@@ -191,7 +191,7 @@ std::size_t StabilityReport::failures() const {
 }
 
 const std::vector<std::string>& stability_groups() {
-    static const std::vector<std::string> groups{"colours", "differences"};
+    static const std::vector<std::string> groups{"colours", "differences", "methods", "solvers", "lights", "sums", "conditioning"};
     return groups;
 }
 

@@ -457,6 +457,26 @@ public:
             out[i + 2] = (nm[0] * o + nm[1]) * o + nm[2];
         }
     }
+    /// Of colours below some 1e-4 the coefficients, of the order of 1000 / sqrt(z), are no halves, and cut off one by one they
+    /// are those of any colour. Scaled, they are the darkest of their chromaticity; black may be nearer still.
+    void limit_coefficients(std::span<double> coefficients, double most) const override {
+        for (std::size_t i = 0; i + 2 < coefficients.size(); i += 3) {
+            const Vector3 c{coefficients[i], coefficients[i + 1], coefficients[i + 2]};
+            const double largest = std::max({std::fabs(c[0]), std::fabs(c[1]), std::fabs(c[2])});
+            // Flat ones may be infinite: they are evaluated to exactly 0 or 1.
+            if (largest <= most || (c[0] == 0 && c[1] == 0)) continue;
+            const double share = most / largest;
+            constexpr double full = jakob2019::saturated;
+            const std::array<Vector3, 3> candidates{Vector3{share * c[0], share * c[1], share * c[2]}, {0, 0, -full}, {0, 0, full}};
+            const Vector3 wanted = color_of(c);
+            double least = HUGE_VAL;
+            for (const Vector3& candidate : candidates) {
+                const Vector3 got = color_of(candidate);
+                const double miss = std::max({std::fabs(got[0] - wanted[0]), std::fabs(got[1] - wanted[1]), std::fabs(got[2] - wanted[2])});
+                if (miss < least) least = miss, std::copy(candidate.begin(), candidate.end(), &coefficients[i]);
+            }
+        }
+    }
     void reflectance_of_coefficients(std::span<const double> c, std::span<double> out) const override {
         kernels::evaluate_sigmoids(c, nodes_, out);
     }
@@ -467,6 +487,12 @@ public:
     }
 
 private:
+    Vector3 color_of(const Vector3& c) const {
+        std::vector<double> r(nodes_.size());
+        kernels::evaluate_sigmoids(c, nodes_, r);
+        return colorimetry().rgb_of(r);
+    }
+
     bool from_table_;
     std::vector<double> nodes_;
     mutable std::once_flag ready_;

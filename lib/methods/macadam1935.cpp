@@ -82,13 +82,15 @@ public:
         return {static_cast<double>(facet.i + 1) - x, static_cast<double>(facet.j) + y, std::min(1.0, top / facet.t)};
     }
 
-    /// The facet of a colour, by the walk or, should the walk not end, by looking at every one.
+    /// The facet of a colour, by the walk or, should the walk not end or, as near white, end beside it, by looking at every one.
     Facet find(const Vector3& color) const {
         const double sum = color[0] + color[1] + color[2];
         const auto cell = [&](double v) { return std::min(cells - 1, static_cast<std::size_t>(v / sum * cells)); };
         const auto start = starts_[cell(color[1]) * cells + cell(color[0])];
         const Facet facet = walk(facet_at(start[0], start[1], color), color);
-        return facet.violation() < tolerance ? facet : search(color);
+        if (facet.violation() < rounding) return facet;
+        const Facet best = search(color);
+        return best.violation() < facet.violation() ? best : facet;
     }
 
     void reflectance(std::span<const double> rgb, std::span<double> out) const override {
@@ -119,7 +121,8 @@ public:
     }
     std::string to_json() const override { return model_json(*this).dump(-1, ' ', false, Json::error_handler_t::replace); }
 
-    static constexpr double tolerance = 1e-9;
+    /// How far outside [0,1] the shares of a facet's two groups may lie; and what is no more than their rounding.
+    static constexpr double tolerance = 1e-9, rounding = 1e-14;
 
 private:
     static constexpr std::size_t cells = 96;
@@ -197,8 +200,13 @@ private:
     Facet walk(Facet facet, const Vector3& color) const {
         const std::size_t m = columns_.size();
         facet = facet_at(facet.i, facet.j, color);
-        for (std::size_t step = 0; step < 4 * m; ++step) {
-            if (facet.violation() < tolerance) return facet;
+        // Near white, where all facets meet, many are within the tolerance, and one holds the colour: once there, a few more
+        // steps look for it.
+        Facet best = facet;
+        for (std::size_t step = 0, more = 0; step < 4 * m && more < 24; ++step) {
+            if (facet.violation() < best.violation()) best = facet;
+            if (best.violation() < rounding) return best;
+            more += best.violation() < tolerance;
             std::size_t i = facet.i + m, j = facet.j + m;
             if (facet.x > 1) --i;
             else if (facet.x < 0) ++i;
@@ -208,10 +216,10 @@ private:
             if (j >= i + m) j = i + m - 1;
             const std::size_t turns = i / m * m;
             const Facet next = facet_at(i - turns, j - turns, color);
-            if (next.i == facet.i && next.j == facet.j) return facet;
+            if (next.i == facet.i && next.j == facet.j) return best;
             facet = next;
         }
-        return facet;
+        return facet.violation() < best.violation() ? facet : best;
     }
 
     Facet search(const Vector3& color) const {

@@ -23,6 +23,7 @@ const std::string repeated_colors = fmt::format("colours met before: each thread
 
 /// Pixels that a kernel handles at a time where it needs scratch memory: the scratch stays in the second-level cache.
 constexpr std::size_t block_pixels = 1024;
+constexpr double largest_half = 65504;
 
 /// [3 images][bands]: linear RGB of the output space from a reflectance in the bands, under each illuminant.
 struct OutputWeights {
@@ -324,6 +325,7 @@ void StorePlan::store(std::array<const float*, 3> rgb, std::size_t n, std::span<
     std::vector<float> coefficients(values * block_pixels), plane(block_pixels);
     const auto compute = [&](std::span<const double> colors, std::span<float> results) {
         model_->coefficients(colors, {computed.data(), results.size()});
+        if (type_ == PixelType::half) model_->limit_coefficients({computed.data(), results.size()}, largest_half);
         for (std::size_t i = 0; i < results.size(); ++i) results[i] = static_cast<float>(computed[i]);
     };
     for (std::size_t begin = 0; begin < n; begin += block_pixels) {

@@ -61,6 +61,9 @@ public:
     virtual void coefficients(std::span<const double> rgb, std::span<double> out) const {
         std::copy(rgb.begin(), rgb.end(), out.begin());
     }
+    /// Draws coefficients to those nearest in colour whose magnitude a file's type holds.
+    /// @param coefficients  [n][info().coefficients]. @param most  largest finite number of that type.
+    virtual void limit_coefficients([[maybe_unused]] std::span<double> coefficients, [[maybe_unused]] double most) const {}
     /// Reflectances from stored coefficients. @param out  [n][bands].
     virtual void reflectance_of_coefficients(std::span<const double> coefficients, std::span<double> out) const {
         reflectance(coefficients, out);
