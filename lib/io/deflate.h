@@ -22,6 +22,9 @@ void deflate_append(const std::uint8_t* in, std::size_t n, bool last, std::vecto
 /// A whole zlib stream. @return whether it is one, holds just out.size() bytes and has their checksum.
 bool inflate_whole(std::span<const std::uint8_t> in, std::span<std::uint8_t> out);
 
+/// Whether this thread's encoder lies where its bytes depend on the data alone.
+bool deflate_place_is_chosen();
+
 /// Adler-32 of a segment, and of two neighbours from theirs; `length` is of the second.
 std::uint32_t adler32(const std::uint8_t* in, std::size_t n);
 std::uint32_t adler32_join(std::uint32_t first, std::uint32_t second, std::size_t length);

@@ -180,26 +180,29 @@ def test_three_shards_equal_one_run(library, tmp_path):
 
 def test_killed_at_random_moments(library, tmp_path):
     for i in range(12):
-        write_image(library / f"big{i}.png", noise(200 + i, 300, 200))
+        write_image(library / f"big{i}.png", noise(200 + i, 200, 150))
     started = time.monotonic()
     batch(library, tmp_path / "whole")
     usual = time.monotonic() - started
     good = outputs(tmp_path / "whole")
     dice = random.Random(7)
-    dst = tmp_path / "dst"
     killed = 0
-    for _ in range(4):
-        process = subprocess.Popen([BIN / "spxbatch", library, dst, "--quiet"], stderr=subprocess.DEVNULL)
-        time.sleep(dice.uniform(0.1, 1.0) * usual)
-        process.send_signal(signal.SIGKILL)
-        killed += process.wait() == -signal.SIGKILL
-        # Whatever stands under its own name is whole.
-        for name, digest in outputs(dst).items() if dst.exists() else ():
-            assert b".tmp" in name or good[name] == digest
-    assert killed > 0
-    batch(library, dst)
-    assert outputs(dst) == good
-    assert rows(dst) == rows(tmp_path / "whole")
+    # Twenty kills: five times over, four one upon the other, each run taking up what the last has left.
+    for chain in range(5):
+        dst = tmp_path / f"dst{chain}"
+        for _ in range(4):
+            process = subprocess.Popen([BIN / "spxbatch", library, dst, "--quiet"], stderr=subprocess.DEVNULL)
+            time.sleep(dice.uniform(0.1, 1.0) * usual)
+            process.send_signal(signal.SIGKILL)
+            killed += process.wait() == -signal.SIGKILL
+            # Whatever stands under its own name is whole.
+            for name, digest in outputs(dst).items() if dst.exists() else ():
+                assert b".tmp" in name or good[name] == digest
+        batch(library, dst)
+        assert outputs(dst) == good
+        assert rows(dst) == rows(tmp_path / "whole")
+    # A run on an idle machine may end before its kill; most do not.
+    assert killed > 10
 
 
 def test_runs_exclude_each_other(library, tmp_path):
