@@ -194,13 +194,18 @@ private:
     /// One step of the decoder. @return false at the end of the stream.
     bool inflate_some() {
         if (inflate_.block_state == ISAL_BLOCK_FINISH) return false;
+        bool exhausted = false;
         if (inflate_.avail_in == 0) {
             const auto more = data_.next();
-            if (more.empty()) throw std::runtime_error("truncated: its compressed data end before its rows");
+            exhausted = more.empty();
             inflate_.next_in = more.data();
             inflate_.avail_in = static_cast<std::uint32_t>(more.size());
         }
+        // The decoder may hold the last bytes itself, and rows that they stand for.
+        const auto room = inflate_.avail_out;
         if (isal_inflate(&inflate_) != ISAL_DECOMP_OK) throw std::runtime_error("damaged: its compressed data are no zlib stream");
+        if (exhausted && inflate_.avail_out == room && inflate_.block_state != ISAL_BLOCK_FINISH)
+            throw std::runtime_error("truncated: its compressed data end before its rows");
         return true;
     }
     void fill() {

@@ -358,6 +358,27 @@ void expect_planes(const std::string& file, const Geometry& g, const std::vector
     }
 }
 
+/// The decoder runs ahead of what is asked for: it may have taken all input before the last rows are out.
+TEST_F(IoTest, EndsOfPngs) {
+    for (const auto& [width, height, channels] : {std::array{512, 512, 4}, {512, 511, 4}, {1024, 172, 3}, {700, 500, 3}, {2048, 129, 4}, {3000, 59, 3}, {9, 3, 1}})
+        for (const int noisy : {0, 40, 99}) {
+            const auto row = static_cast<std::size_t>(width * channels);
+            std::vector<std::uint8_t> pixels(row * static_cast<std::size_t>(height), 200), read(pixels.size());
+            std::minstd_rand random(1);
+            for (std::size_t i = 0; i < pixels.size() * static_cast<std::size_t>(noisy) / 100; ++i) pixels[i] = static_cast<std::uint8_t>(random());
+            const std::string name = path("flat.png");
+            auto out = OIIO::ImageOutput::create(name);
+            OIIO::ImageSpec spec(width, height, channels, OIIO::TypeUInt8);
+            spec["oiio:UnassociatedAlpha"] = 1;
+            ASSERT_TRUE(out && out->open(name, spec) && out->write_image(OIIO::TypeUInt8, pixels.data()) && out->close());
+            auto reader = ImageReader::open(name);
+            ASSERT_TRUE(reader) << reader.error().message;
+            const auto status = (*reader)->read_rows(0, height, reinterpret_cast<std::byte*>(read.data()));
+            EXPECT_TRUE(status) << status.error().message;
+            EXPECT_TRUE(read == pixels) << width << " x " << height;
+        }
+}
+
 /// The encoder's matches depend on where its state lies (see deflate.cpp): every thread must have it in such a place that they
 /// depend on the data alone.
 TEST(Deflate, LiesWhereItsBytesDependOnTheDataAlone) {
