@@ -50,7 +50,7 @@ constexpr std::array words{
     Word{"normalgl", normal, Weight::strong}, Word{"normaldx", normal, Weight::strong}, Word{"n", normal, Weight::hint},
     Word{"roughness", roughness, Weight::strong}, Word{"rough", roughness, Weight::plain}, Word{"rgh", roughness, Weight::strong},
     Word{"gloss", roughness, Weight::strong}, Word{"glossiness", roughness, Weight::strong},
-    Word{"glossy", roughness, Weight::plain}, Word{"smoothness", roughness, Weight::strong},
+    Word{"glossmap", roughness, Weight::strong}, Word{"glossy", roughness, Weight::plain}, Word{"smoothness", roughness, Weight::strong},
     Word{"r", roughness, Weight::hint}, Word{"g", roughness, Weight::hint},
     Word{"metallic", metallic, Weight::strong}, Word{"metalness", metallic, Weight::strong},
     Word{"metallness", metallic, Weight::strong}, Word{"metalic", metallic, Weight::strong}, Word{"met", metallic, Weight::plain},
@@ -66,7 +66,8 @@ constexpr std::array words{
     Word{"ambientocclusion", occlusion, Weight::strong}, Word{"cavity", occlusion, Weight::strong},
     Word{"curvature", occlusion, Weight::strong}, Word{"thickness", occlusion, Weight::strong},
     Word{"opacity", mask, Weight::strong}, Word{"alpha", mask, Weight::plain}, Word{"mask", mask, Weight::strong},
-    Word{"masks", mask, Weight::strong}, Word{"tcmask", mask, Weight::strong}, Word{"cutout", mask, Weight::plain},
+    Word{"masks", mask, Weight::strong}, Word{"tcmask", mask, Weight::strong},
+    Word{"colormask", mask, Weight::strong}, Word{"colourmask", mask, Weight::strong}, Word{"cutout", mask, Weight::plain},
     Word{"transparency", mask, Weight::strong}, Word{"transparent", mask, Weight::hint}, Word{"translucency", mask, Weight::plain},
     Word{"splat", mask, Weight::plain}, Word{"splatmap", mask, Weight::strong}, Word{"blendmap", mask, Weight::strong},
     Word{"stencil", mask, Weight::plain}, Word{"weightmap", mask, Weight::strong}, Word{"transmission", mask, Weight::plain},
@@ -80,7 +81,7 @@ constexpr std::array words{
     Word{"metallicroughness", packed, Weight::strong}, Word{"metalrough", packed, Weight::strong},
     Word{"metalroughness", packed, Weight::strong}, Word{"roughnessmetal", packed, Weight::strong}, Word{"roughmetal", packed, Weight::strong},
     Word{"roughnessmetallic", packed, Weight::strong}, Word{"occlusionroughnessmetallic", packed, Weight::strong},
-    Word{"maskmap", packed, Weight::strong}, Word{"specularglossiness", packed, Weight::strong},
+    Word{"maskmap", packed, Weight::strong}, Word{"pbrdata", packed, Weight::strong}, Word{"specularglossiness", packed, Weight::strong},
     Word{"specular", specular, Weight::strong}, Word{"spec", specular, Weight::strong}, Word{"specularity", specular, Weight::strong},
     Word{"specmap", specular, Weight::strong}, Word{"ks", specular, Weight::plain}, Word{"reflection", specular, Weight::plain},
     Word{"refl", specular, Weight::plain}, Word{"sm", specular, Weight::hint}, Word{"s", specular, Weight::hint},
@@ -110,7 +111,7 @@ const Word* find_word(std::string_view text) {
 }
 
 /// A word, or the long word that it begins or ends with (`earthnormal`, `envmapblue`); short ones are parts of too many others,
-/// but for spec, which then is a mere hint.
+/// but for a few, which then say less.
 const Word* meaning_of(std::string_view text) {
     if (const Word* exact = find_word(text)) return exact;
     const Word* best = nullptr;
@@ -118,8 +119,9 @@ const Word* meaning_of(std::string_view text) {
         if (w.weight == Weight::strong && w.text.size() >= 6 &&
             (text.ends_with(w.text) || (text.starts_with(w.text) && w.text.size() >= 6)) && (!best || w.text.size() > best->text.size()))
             best = &w;
-    static constexpr Word spec{"spec", specular, Weight::hint};
-    if (!best && text.size() > 4 && text.ends_with(spec.text)) return &spec;
+    static constexpr std::array ends{Word{"spec", specular, Weight::hint}, Word{"gloss", roughness, Weight::plain}, Word{"shadow", data, Weight::plain}};
+    for (const Word& end : ends)
+        if (!best && text.size() > end.text.size() && text.ends_with(end.text)) return &end;
     return best;
 }
 
@@ -226,7 +228,9 @@ void hear_header(std::string_view path, const ImageHeader& header, std::vector<W
     const std::string& space = header.color_hints.declared;
     if (space == "Raw" || space == "raw" || space == "Non-Color" || space == "data")
         witnesses.push_back({data, 2, fmt::format("its header declares the colour space {}", space)});
-    if (!header.color_hints.icc_profile.empty() && !grey)
+    // Programs give profiles to whatever they save: they count only where the name has not said what it is.
+    const bool named = std::any_of(witnesses.begin(), witnesses.end(), [](const Witness& w) { return !is_color(w.use) && w.score >= strong_score; });
+    if (!header.color_hints.icc_profile.empty() && !grey && !named)
         witnesses.push_back({color, 0.5, "it bears an ICC profile"});
     for (const char* camera : {"Make", "Exif:Model", "Model", "Exif:FNumber", "ExposureTime"})
         if (header.metadata.contains(camera)) {
@@ -267,9 +271,16 @@ double contradiction(TextureUse use, double score, const PixelStatistics& p, std
         const bool short_ones = near(0, 0.5, 0.1) && near(1, 0.5, 0.1) && p.mean[2] >= 0.7;
         const bool anywhere = p.unit_length >= 0.5 && near(0, 0.5, 0.2) && near(1, 0.5, 0.2) && near(2, 0.5, 0.2);
         if ((short_ones || anywhere) && score > hint_score) return 0;
+        // Parts of a model on black or white, which are no vectors.
+        const double drawn = 1 - p.binary;
+        const bool bluish = p.mean[2] >= 1.3 * std::max(p.mean[0], p.mean[1]);
+        if (drawn >= 0.2 && p.unit_length >= 0.8 * drawn && (score > hint_score || bluish)) return 0;
         says = "its pixels are no unit vectors";
         return 2.4;
     }
+    // A channel that is empty everywhere, as in hardly any picture: scalars are kept in the others.
+    const auto empty = [&](std::size_t k) { return p.mean[k] <= 0.01 && p.deviation[k] <= 0.03; };
+    if (is_scalar(use) && score > hint_score && p.channels == 3 && p.grey < 0.7 && !p.constant && (empty(0) || empty(1) || empty(2))) return 0;
     if (is_scalar(use) && p.channels == 3 && p.grey < 0.7) {
         says = fmt::format("{:.0f}% of its pixels are coloured", 100 * (1 - p.grey));
         // Coloured specular maps are reflectances at normal incidence; masks may keep one weight in each channel.
