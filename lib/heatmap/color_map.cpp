@@ -16,11 +16,6 @@ constexpr std::array<std::string_view, 8> names{"magma", "inferno",  "plasma",  
 
 }  // namespace
 
-Rgb8 ColorMap::at(double t) const {
-    if (std::isnan(t)) return no_value;
-    return codes[static_cast<std::size_t>(std::lround(std::clamp(t, 0.0, 1.0) * 255))];
-}
-
 std::string_view default_color_map() { return names[0]; }
 
 std::vector<std::string> color_map_names() { return {names.begin(), names.end()}; }

@@ -87,17 +87,16 @@ void deflate_append(const std::uint8_t* in, std::size_t n, bool last, std::vecto
     // The interface takes a pointer to bytes that it only reads.
     stream.next_in = const_cast<std::uint8_t*>(in);
     stream.avail_in = static_cast<std::uint32_t>(n);
-    std::size_t at = out.size(), room = n + n / 8 + 1024;
-    for (;;) {
-        out.resize(at + room);
-        stream.next_out = out.data() + at;
-        stream.avail_out = static_cast<std::uint32_t>(room);
+    // What is grown is cleared first: only what was written is appended.
+    thread_local std::vector<std::uint8_t> buffer;
+    buffer.resize(std::max(buffer.size(), n + n / 8 + 1024));
+    std::uint8_t* const begin = buffer.data();
+    do {
+        stream.next_out = begin;
+        stream.avail_out = static_cast<std::uint32_t>(buffer.size());
         if (isal_deflate(&stream) != COMP_OK) throw std::runtime_error("the deflate encoder failed");
-        at += room - stream.avail_out;
-        if (stream.avail_out > 0 && stream.avail_in == 0) break;
-        room = std::max<std::size_t>(n / 8, 1024);
-    }
-    out.resize(at);
+        out.insert(out.end(), begin, stream.next_out);
+    } while (stream.avail_out == 0 || stream.avail_in > 0);
 }
 
 bool inflate_whole(std::span<const std::uint8_t> in, std::span<std::uint8_t> out) {

@@ -254,7 +254,7 @@ private:
             std::vector<ChunkRequest> requests;
             for (int y = first; y < std::min(first + step, rows); y += zip_rows)
                 for (const auto& channels : channels_) requests.push_back({channels, y, std::min(zip_rows, rows - y)});
-            pack_zip_chunks(requests, layouts, geometry_.width, parallel_, payloads_);
+            pack_zip_chunks(requests, layouts, geometry_.width, parallel_, scratch_, payloads_);
             for (std::size_t i = 0; i < requests.size(); ++i) put(i % channels_.size(), requests[i].first_row, payloads_[i]);
         }
         next_ += rows;
@@ -278,7 +278,7 @@ private:
     int next_ = 0;                      // first row that is not yet compressed
     std::vector<std::byte> kept_;
     int kept_rows_ = 0, kept_capacity_ = zip_rows;
-    std::vector<std::vector<std::uint8_t>> payloads_;
+    std::vector<std::vector<std::uint8_t>> scratch_, payloads_;
 };
 
 ExrOutput::ExrOutput(OutputFile file) : file_(std::move(file)) {}

@@ -56,15 +56,15 @@ struct Segment {
 }  // namespace
 
 void pack_zip_chunks(std::span<const ChunkRequest> requests, std::span<const SampleLayout> layouts, int width_pixels, bool parallel,
-                     std::vector<std::vector<std::uint8_t>>& payloads) {
+                     std::vector<std::vector<std::uint8_t>>& split_bytes, std::vector<std::vector<std::uint8_t>>& payloads) {
     const auto width = static_cast<std::size_t>(width_pixels);
     payloads.resize(requests.size());
-    std::vector<std::vector<std::uint8_t>> split_bytes(requests.size());
+    split_bytes.resize(requests.size());
     std::vector<Segment> segments;
     std::vector<std::array<std::size_t, 2>> lines;  // request, row
     for (std::size_t r = 0; r < requests.size(); ++r) {
         const std::size_t size = line_bytes(requests[r].channels, width) * static_cast<std::size_t>(requests[r].rows);
-        split_bytes[r].resize(size);
+        split_bytes[r].resize(size);  // of the call before, as a rule as large
         for (std::size_t row = 0; row < static_cast<std::size_t>(requests[r].rows); ++row) lines.push_back({r, row});
         for (std::size_t at = 0; at < size; at += deflate_segment)
             segments.push_back({r, at, std::min(at + deflate_segment, size), at + deflate_segment >= size, {}});
@@ -89,10 +89,12 @@ void pack_zip_chunks(std::span<const ChunkRequest> requests, std::span<const Sam
         const std::uint8_t* in = split_bytes[s.request].data() + s.begin;
         const std::size_t n = s.end - s.begin;
         differences.resize(std::max(differences.size(), n));
-        differences[0] = s.begin == 0 ? in[0] : static_cast<std::uint8_t>(in[0] - in[-1] + 128);
-        for (std::size_t k = 1; k < n; ++k) differences[k] = static_cast<std::uint8_t>(in[k] - in[k - 1] + 128);
-        sums[i] = adler32(differences.data(), n);
-        deflate_append(differences.data(), n, s.last, s.bytes);
+        // A pointer, for a variable of the thread's own is looked up at every use.
+        std::uint8_t* out = differences.data();
+        out[0] = s.begin == 0 ? in[0] : static_cast<std::uint8_t>(in[0] - in[-1] + 128);
+        for (std::size_t k = 1; k < n; ++k) out[k] = static_cast<std::uint8_t>(in[k] - in[k - 1] + 128);
+        sums[i] = adler32(out, n);
+        deflate_append(out, n, s.last, s.bytes);
     });
     for (auto& payload : payloads) payload.assign(std::begin(zlib_head), std::end(zlib_head));
     std::uint32_t sum = 1;

@@ -24,9 +24,10 @@ struct ChunkRequest {
 };
 
 /// Payloads of chunks as the file holds them: compressed, or as they are where that would not make them smaller.
+/// @param scratch   memory that calls pass on.
 /// @param payloads  [requests].  @throws std::bad_alloc, std::runtime_error.
 void pack_zip_chunks(std::span<const ChunkRequest> requests, std::span<const SampleLayout> layouts, int width, bool parallel,
-                     std::vector<std::vector<std::uint8_t>>& payloads);
+                     std::vector<std::vector<std::uint8_t>>& scratch, std::vector<std::vector<std::uint8_t>>& payloads);
 
 /// The samples of a chunk as they lie in the file without compression: by row, by channel.
 /// @param payload  as a file holds it, compressed. @return false where it is no zlib stream of just that many samples.

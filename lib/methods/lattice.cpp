@@ -46,7 +46,13 @@ public:
                 axis[c] = {scaled - cell, strides_[c]};
                 v0 += static_cast<std::size_t>(cell) * strides_[c];
             }
-            std::stable_sort(axis.begin(), axis.end(), [](const auto& a, const auto& b) { return a.first > b.first; });
+            // Descending and stable; the library's sort would take memory for each pixel.
+            const auto order = [&](std::size_t a, std::size_t b) {
+                if (axis[b].first > axis[a].first) std::swap(axis[a], axis[b]);
+            };
+            order(0, 1);
+            order(1, 2);
+            order(0, 1);
             const double *v1 = v0 + axis[0].second, *v2 = v1 + axis[1].second, *v3 = v2 + axis[2].second;
             const double w0 = 1 - axis[0].first, w1 = axis[0].first - axis[1].first, w2 = axis[1].first - axis[2].first,
                          w3 = axis[2].first;

@@ -52,16 +52,18 @@ Result<DifferenceReport> compare_files(const std::string& a, const std::string& 
     if (!map) return std::move(map).error();
     DifferenceAccumulator accumulator;
     std::array<std::int64_t, 2> first_bad{-1, -1};
-    const auto status = run_differences(*pair, options.job, [&](int y, std::span<const float> values, std::uint64_t changed) -> Status {
-        accumulator.add_changed_codes(changed);
-        if (first_bad[0] < 0)
-            for (std::size_t x = 0; x < values.size(); ++x)
-                if (!std::isfinite(values[x])) {
-                    first_bad = {static_cast<std::int64_t>(x), y};
-                    break;
-                }
-        if (auto s = accumulator.add_row(y, values); !s) return s;
-        return map->write_row(y, values);
+    const auto status = run_differences(*pair, options.job, true, [&](int y, int rows, std::span<const float> values,
+                                                                      std::span<const std::uint64_t> changed) -> Status {
+        const std::size_t width = values.size() / static_cast<std::size_t>(rows);
+        for (int row = 0; row < rows; ++row) {
+            const auto line = values.subspan(static_cast<std::size_t>(row) * width, width);
+            accumulator.add_changed_codes(changed[static_cast<std::size_t>(row)]);
+            for (std::size_t x = 0; first_bad[0] < 0 && x < width; ++x)
+                if (!std::isfinite(line[x])) first_bad = {static_cast<std::int64_t>(x), y + row};
+            if (auto s = accumulator.add_row(y + row, line); !s) return s;
+            if (auto s = map->write_row(y + row, line); !s) return s;
+        }
+        return {};
     });
     if (!status) return status.error();
     auto statistics = accumulator.finish();

@@ -1,6 +1,8 @@
 // Two files as rows of colour differences.
 #pragma once
 
+#include <tbb/parallel_invoke.h>
+
 #include <span>
 #include <string>
 
@@ -20,12 +22,13 @@ struct DifferencePair {
     InputReport report_a, report_b;
 };
 
-/// Runs over the pair once; rows of differences come in order.
-/// @param take  (y, values, changed codes) -> Status.
+/// Runs over the pair once; strips of differences come in order.
+/// @param codes  whether to count, per row, the pixels whose 8-bit code changed.
+/// @param take   (y, rows, values [rows][width], changed codes [rows]) -> Status.
 template <class Take>
-Status run_differences(DifferencePair& pair, const JobOptions& job, const Take& take) {
+Status run_differences(DifferencePair& pair, const JobOptions& job, bool codes, const Take& take) {
     const auto& geometry = pair.a.strips().geometry();
-    const int width = geometry.width;
+    const int width = geometry.width, threads = job.threads;
     struct Buffers {
         RawStrip a, b;
         std::vector<float> difference;
@@ -38,8 +41,14 @@ Status run_differences(DifferencePair& pair, const JobOptions& job, const Take& 
     return run_strips(
         job, width, geometry.height, rows, [] { return Buffers{}; },
         [&](Buffers& b, int y, int n) -> Status {
-            if (auto s = pair.a.strips().read(y, n, b.a); !s) return s;
-            return pair.b.strips().read(y, n, b.b);
+            if (threads == 1) {
+                if (auto s = pair.a.strips().read(y, n, b.a); !s) return s;
+                return pair.b.strips().read(y, n, b.b);
+            }
+            // Decoders of whole files are serial: two of them keep two threads busy.
+            Status of_a, of_b;
+            tbb::parallel_invoke([&] { of_a = pair.a.strips().read(y, n, b.a); }, [&] { of_b = pair.b.strips().read(y, n, b.b); });
+            return of_a ? of_b : of_a;
         },
         [&](Buffers& b, int, int n) -> Status {
             b.difference.resize(static_cast<std::size_t>(width) * static_cast<std::size_t>(n));
@@ -57,20 +66,13 @@ Status run_differences(DifferencePair& pair, const JobOptions& job, const Take& 
                     const std::array<const float*, 3> pa{planes[0].data() + row * w, planes[1].data() + row * w, planes[2].data() + row * w};
                     const std::array<const float*, 3> pb{planes[3].data() + row * w, planes[4].data() + row * w, planes[5].data() + row * w};
                     pair.kernel(pa, pb, w, b.difference.data() + begin + row * w);
-                    b.changed[static_cast<std::size_t>(first) + row] = count_changed_codes(pa, pb, w);
+                    if (codes) b.changed[static_cast<std::size_t>(first) + row] = count_changed_codes(pa, pb, w);
                 }
             });
             return {};
         },
         [&](Buffers& b, int y, int n) -> Status {
-            for (int row = 0; row < n; ++row) {
-                const std::size_t at = static_cast<std::size_t>(row) * static_cast<std::size_t>(width);
-                if (auto s = take(y + row, std::span<const float>(b.difference.data() + at, static_cast<std::size_t>(width)),
-                                  b.changed[static_cast<std::size_t>(row)]);
-                    !s)
-                    return s;
-            }
-            return {};
+            return take(y, n, std::span<const float>(b.difference), std::span<const std::uint64_t>(b.changed));
         });
 }
 

@@ -2,6 +2,7 @@
 
 #include <fmt/format.h>
 
+#include <atomic>
 #include <cmath>
 #include <cstring>
 #include <functional>
@@ -14,15 +15,22 @@ namespace {
 
 using namespace pipeline;
 
-using TakeRow = std::function<Status(int, std::span<const float>)>;
+using TakeRows = std::function<Status(int y, int rows, std::span<const float>)>;
 
-/// Rows of differences, as often as asked for.
+/// Strips of differences in their order, as often as asked for.
 struct MapSource {
     Geometry geometry;
     InputReport report;
     std::string title;
-    std::function<Status(const TakeRow&)> run;
+    std::function<Status(const TakeRows&)> run;
 };
+
+/// Runs what is parallel inside by the threads of the job.
+template <class Body>
+void in_arena(const JobOptions& job, const Body& body) {
+    if (job.in_callers_arena) body();
+    else tbb::task_arena(job.threads > 0 ? job.threads : tbb::info::default_concurrency()).execute(body);
+}
 
 Result<MapSource> open_map(const std::string& path, const JobOptions& job) {
     auto opened = ImageReader::open(path, job.threads);
@@ -41,7 +49,7 @@ Result<MapSource> open_map(const std::string& path, const JobOptions& job) {
     if (const auto found = header.metadata.find("spectex:metric"); found != header.metadata.end())
         if (const auto* name = std::get_if<std::string>(&found->second))
             if (const auto metric = parse_metric(*name)) source.title = metric_title(*metric);
-    source.run = [reader, job](const TakeRow& take) -> Status {
+    source.run = [reader, job](const TakeRows& take) -> Status {
         const auto& h = reader->header();
         const auto width = static_cast<std::size_t>(h.geometry.width);
         const std::size_t sample = pixel_bytes(h.type);
@@ -70,11 +78,7 @@ Result<MapSource> open_map(const std::string& path, const JobOptions& job) {
                                     PixelType::float32);
                 return {};
             },
-            [&](Buffers& b, int y, int n) -> Status {
-                for (int row = 0; row < n; ++row)
-                    if (auto s = take(y + row, {b.values.data() + static_cast<std::size_t>(row) * width, width}); !s) return s;
-                return {};
-            });
+            [&](Buffers& b, int y, int n) { return take(y, n, b.values); });
     };
     return source;
 }
@@ -95,19 +99,26 @@ Result<MapSource> open_pair(const std::string& a, const std::string& b, const He
     source.title = metric_title(options.metric);
     const auto kept = std::make_shared<std::vector<float>>();
     const JobOptions job = options.job;
-    source.run = [pair, kept, job](const TakeRow& take) -> Status {
+    source.run = [pair, kept, job](const TakeRows& take) -> Status {
         const auto& g = pair->a.strips().geometry();
         const auto width = static_cast<std::size_t>(g.width);
         if (!kept->empty()) {
-            for (int y = 0; y < g.height; ++y)
-                if (auto s = take(y, {kept->data() + static_cast<std::size_t>(y) * width, width}); !s) return s;
-            return {};
+            Status status;
+            constexpr int step = 256;
+            in_arena(job, [&] {
+                for (int y = 0; y < g.height && status; y += step) {
+                    const int n = std::min(step, g.height - y);
+                    status = take(y, n, {kept->data() + static_cast<std::size_t>(y) * width, static_cast<std::size_t>(n) * width});
+                }
+            });
+            return status;
         }
         const bool keep = static_cast<std::int64_t>(g.width) * g.height <= kept_pixels;
         std::vector<float> rows;
-        const auto status = run_differences(*pair, job, [&](int y, std::span<const float> values, std::uint64_t) -> Status {
+        if (keep) rows.reserve(static_cast<std::size_t>(g.height) * width);
+        const auto status = run_differences(*pair, job, false, [&](int y, int n, std::span<const float> values, std::span<const std::uint64_t>) {
             if (keep) rows.insert(rows.end(), values.begin(), values.end());
-            return take(y, values);
+            return take(y, n, values);
         });
         if (status) *kept = std::move(rows);
         return status;
@@ -149,8 +160,13 @@ Result<HeatmapReport> heatmap(const std::string& map_or_a, const std::string& b,
     HeatmapReport report;
     report.input = source->report;
     DifferenceAccumulator accumulator;
-    if (auto s = source->run([&](int y, std::span<const float> values) { return accumulator.add_row(y, values); }); !s)
-        return s.error();
+    const auto gathered = source->run([&](int y, int rows, std::span<const float> values) -> Status {
+        const std::size_t width = values.size() / static_cast<std::size_t>(rows);
+        for (int row = 0; row < rows; ++row)
+            if (auto s = accumulator.add_row(y + row, values.subspan(static_cast<std::size_t>(row) * width, width)); !s) return s;
+        return {};
+    });
+    if (!gathered) return gathered.error();
     auto statistics = accumulator.finish();
     if (!statistics) return std::move(statistics).error();
     report.statistics = *statistics;
@@ -183,44 +199,42 @@ Result<HeatmapReport> heatmap(const std::string& map_or_a, const std::string& b,
     auto writer = picture_writer(output, report.width, report.height, options.job.threads);
     if (!writer) return std::move(writer).error();
 
-    // Rows are handed to the encoder a few at a time: some formats compress faster by blocks.
-    constexpr int block = 64;
     const std::size_t row_bytes = static_cast<std::size_t>(report.width) * 3;
-    std::vector<std::byte> rows;
-    int first = 0, filled = 0;
-    const auto flush = [&]() -> Status {
-        if (filled == 0) return {};
-        auto s = (*writer)->write_rows(first, filled, rows.data());
-        first += filled;
-        filled = 0;
-        rows.clear();
-        return s;
-    };
+    const auto wide = static_cast<std::size_t>(factor);
     const double scale = 1 / (report.high - report.low);
-    const auto status = source->run([&](int y, std::span<const float> values) -> Status {
-        std::vector<std::byte> row(row_bytes);
-        for (std::size_t x = 0; x < values.size(); ++x) {
-            const double v = values[x];
-            if (v > report.high) ++report.above;
-            if (v < report.low) ++report.below;
-            const auto code = colors->at(std::isinf(v) ? std::nan("") : (v - report.low) * scale);
-            for (int i = 0; i < factor; ++i)
-                for (std::size_t c = 0; c < 3; ++c)
-                    row[(x * static_cast<std::size_t>(factor) + static_cast<std::size_t>(i)) * 3 + c] = std::byte{code[c]};
-        }
-        for (int i = 0; i < factor; ++i) {
-            const auto line = static_cast<std::size_t>(y) * static_cast<std::size_t>(factor) + static_cast<std::size_t>(i);
-            if (legend.width > 0)
-                std::memcpy(row.data() + map_width * 3, legend.rgb.data() + line * static_cast<std::size_t>(legend.width) * 3,
-                            static_cast<std::size_t>(legend.width) * 3);
-            rows.insert(rows.end(), row.begin(), row.end());
-            if (++filled == block)
-                if (auto s = flush(); !s) return s;
-        }
-        return {};
+    std::vector<std::byte> picture;
+    const auto status = source->run([&](int y, int n, std::span<const float> values) -> Status {
+        const auto row_width = static_cast<std::size_t>(width);
+        picture.resize(row_bytes * wide * static_cast<std::size_t>(n));
+        std::atomic<std::uint64_t> above{0}, below{0};
+        for_row_groups(n, width, [&](int first, int count) {
+            std::uint64_t over = 0, under = 0;
+            for (int row = first; row < first + count; ++row) {
+                const float* in = values.data() + static_cast<std::size_t>(row) * row_width;
+                std::byte* line = picture.data() + static_cast<std::size_t>(row) * wide * row_bytes;
+                std::byte* out = line;
+                for (std::size_t x = 0; x < row_width; ++x) {
+                    const double v = in[x];
+                    over += v > report.high;
+                    under += v < report.low;
+                    const auto code = colors->at(std::isinf(v) ? std::nan("") : (v - report.low) * scale);
+                    for (std::size_t i = 0; i < wide; ++i)
+                        for (const std::uint8_t c : code) *out++ = std::byte{c};
+                }
+                for (std::size_t i = 1; i < wide; ++i) std::memcpy(line + i * row_bytes, line, map_width * 3);
+                for (std::size_t i = 0; legend.width > 0 && i < wide; ++i) {
+                    const std::size_t of = static_cast<std::size_t>(y + row) * wide + i, size = static_cast<std::size_t>(legend.width) * 3;
+                    std::memcpy(line + i * row_bytes + map_width * 3, legend.rgb.data() + of * size, size);
+                }
+            }
+            above += over;
+            below += under;
+        });
+        report.above += above;
+        report.below += below;
+        return (*writer)->write_rows(y * factor, n * factor, picture.data());
     });
     if (!status) return status.error();
-    if (auto s = flush(); !s) return s.error();
     if (auto s = (*writer)->commit(); !s) return s.error();
     return report;
 }

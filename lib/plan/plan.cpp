@@ -368,11 +368,16 @@ void StorePlan::store_bands(std::array<const float*, 3> rgb, std::size_t n, std:
             for (std::size_t b = 0; b < bands; ++b)
                 for (std::size_t p = 0; p < count; ++p) out[b][p] = spectra[p * bands + b];
         } else {
-            for (std::size_t p = 0; p < count; ++p)
-                for (std::size_t i = 0; i < 3; ++i) colors[3 * p + i] = rgb[i][begin + p];
-            model_->reflectance({colors.data(), 3 * count}, {computed.data(), bands * count});
-            for (std::size_t b = 0; b < bands; ++b)
-                for (std::size_t p = 0; p < count; ++p) out[b][p] = static_cast<float>(computed[p * bands + b]);
+            // As many spectra at a time as stay in the first cache while they are turned into planes.
+            constexpr std::size_t tile = 32;
+            for (std::size_t first = 0; first < count; first += tile) {
+                const std::size_t some = std::min(tile, count - first);
+                for (std::size_t p = 0; p < some; ++p)
+                    for (std::size_t i = 0; i < 3; ++i) colors[3 * p + i] = rgb[i][begin + first + p];
+                model_->reflectance({colors.data(), 3 * some}, {computed.data(), bands * some});
+                for (std::size_t b = 0; b < bands; ++b)
+                    for (std::size_t p = 0; p < some; ++p) out[b][first + p] = static_cast<float>(computed[p * bands + b]);
+            }
         }
         if (!half) continue;
         for (std::size_t b = 0; b < bands; ++b) halves[b] = reinterpret_cast<std::uint16_t*>(planes[b]) + begin;

@@ -29,7 +29,11 @@ struct ColorMap {
     std::string name;
     std::array<Rgb8, 256> codes{};
     /// Position t in [0,1] by nearest entry, clamped beyond; NaN gives the "no value" colour.
-    SPECTEX_API Rgb8 at(double t) const;
+    Rgb8 at(double t) const {
+        if (t != t) return no_value;
+        // Half a step up and cut off: to the nearest, for what is not negative.
+        return codes[static_cast<std::size_t>((t < 0 ? 0 : t > 1 ? 1 : t) * 255 + 0.5)];
+    }
     static constexpr Rgb8 no_value{128, 128, 128};
 };
 /// @error usage, listing the names.
