@@ -49,7 +49,8 @@ namespace spectex::kernels::HWY_NAMESPACE {
 constexpr std::size_t block_size = 64;
 static_assert(block_size * sizeof(double) >= HWY_MAX_BYTES, "a block holds whole vectors");
 
-template <class Out>
+/// @param Padded  three values, each vertex of which takes four numbers: a load brings all of it.
+template <bool Padded, class Out>
 void Interpolate(const LatticeAxis* axes, const double* vertices, std::size_t values, const float* const* rgb, std::size_t n,
                  Out* const* planes) {
     const hn::ScalableTag<double> dd;
@@ -117,6 +118,33 @@ void Interpolate(const LatticeAxis* axes, const double* vertices, std::size_t va
             hn::Store(hn::Add(base, hn::Sub(stride_all, last)), di, vertex[2] + i);
             hn::Store(hn::Add(base, stride_all), di, vertex[3] + i);
         }
+        if constexpr (Padded) {
+            const hn::CappedTag<double, 4> d4;
+            const hn::Rebind<float, decltype(d4)> f4;
+            const hn::ScalableTag<float> whole;
+            HWY_ALIGN float quads[4 * block_size];
+            for (std::size_t i = 0; i < count; ++i)
+                for (std::size_t part = 0; part < 4; part += hn::Lanes(d4)) {
+                    const double* from = vertices + part;
+                    auto sum = hn::Mul(hn::Set(d4, weight[0][i]), hn::LoadU(d4, from + vertex[0][i]));
+                    for (int k = 1; k < 4; ++k)
+                        sum = hn::Add(sum, hn::Mul(hn::Set(d4, weight[k][i]), hn::LoadU(d4, from + vertex[k][i])));
+                    hn::StoreU(round_to_float(f4, sum), f4, quads + 4 * i + part);
+                }
+            const std::size_t step = hn::Lanes(whole);
+            std::fill(quads + 4 * count, quads + 4 * ((count + step - 1) / step * step), 0.0f);
+            HWY_ALIGN float plane[3][block_size];
+            for (std::size_t i = 0; i < count; i += step) {
+                auto a = hn::Zero(whole), b = a, c = a, unused = a;
+                hn::LoadInterleaved4(whole, quads + 4 * i, a, b, c, unused);
+                hn::Store(a, whole, plane[0] + i);
+                hn::Store(b, whole, plane[1] + i);
+                hn::Store(c, whole, plane[2] + i);
+            }
+            for (std::size_t value = 0; value < 3; ++value)
+                if (planes[value] != nullptr) std::memcpy(planes[value] + begin, plane[value], count * sizeof(float));
+            continue;
+        }
         for (std::size_t value = 0; value < values; ++value) {
             if (planes[value] == nullptr) continue;
             const double* from = vertices + value;
@@ -135,11 +163,15 @@ void Interpolate(const LatticeAxis* axes, const double* vertices, std::size_t va
 
 void InterpolateFloat(const LatticeAxis* axes, const double* vertices, std::size_t values, const float* const* rgb,
                       std::size_t n, float* const* planes) {
-    Interpolate(axes, vertices, values, rgb, n, planes);
+    Interpolate<false>(axes, vertices, values, rgb, n, planes);
+}
+void InterpolateThree(const LatticeAxis* axes, const double* vertices, std::size_t values, const float* const* rgb,
+                      std::size_t n, float* const* planes) {
+    Interpolate<true>(axes, vertices, values, rgb, n, planes);
 }
 void InterpolateDouble(const LatticeAxis* axes, const double* vertices, std::size_t values, const float* const* rgb,
                        std::size_t n, double* const* planes) {
-    Interpolate(axes, vertices, values, rgb, n, planes);
+    Interpolate<false>(axes, vertices, values, rgb, n, planes);
 }
 
 }  // namespace spectex::kernels::HWY_NAMESPACE
@@ -149,9 +181,13 @@ HWY_AFTER_NAMESPACE();
 namespace spectex::kernels {
 
 HWY_EXPORT(InterpolateFloat);
+HWY_EXPORT(InterpolateThree);
 HWY_EXPORT(InterpolateDouble);
 
 namespace {
+
+/// Numbers of a table that is kept once more with its vertices padded: 8 MB, beyond which no cache would hold it.
+constexpr std::size_t most_padded = std::size_t{1} << 20;
 
 std::array<LatticeAxis, 3> axes_of(const LatticeTable& table, const std::array<bool, 3>& uniform,
                                    const std::array<std::size_t, 3>& strides) {
@@ -176,9 +212,17 @@ LatticeKernel::LatticeKernel(const LatticeTable& table) : table_(&table) {
             // Knots are printed and read back or computed in one of several ways, each right to a rounding or two.
             uniform_[k] = uniform_[k] && std::fabs(table.knots[k][i] - static_cast<double>(i) / last) <= 0x1p-51;
     }
+    if (table.values != 3 || !small || table.vertices.size() > most_padded) return;
+    padded_.resize(table.vertices.size() / 3 * 4);
+    for (std::size_t i = 0; i < table.vertices.size(); ++i) padded_[i / 3 * 4 + i % 3] = table.vertices[i];
 }
 
 void LatticeKernel::operator()(std::array<const float*, 3> rgb, std::size_t n, float* const* planes) const {
+    if (!padded_.empty()) {
+        const std::array<std::size_t, 3> wider{strides_[0] / 3 * 4, strides_[1] / 3 * 4, 4};
+        HWY_DYNAMIC_DISPATCH(InterpolateThree)(axes_of(*table_, uniform_, wider).data(), padded_.data(), 3, rgb.data(), n, planes);
+        return;
+    }
     HWY_DYNAMIC_DISPATCH(InterpolateFloat)
     (axes_of(*table_, uniform_, strides_).data(), table_->vertices.data(), table_->values, rgb.data(), n, planes);
 }

@@ -3,6 +3,7 @@
 
 #include <array>
 #include <cstddef>
+#include <vector>
 #include <span>
 
 #include "spectex/methods.h"
@@ -30,6 +31,7 @@ private:
     const LatticeTable* table_;
     std::array<bool, 3> uniform_{};
     std::array<std::size_t, 3> strides_{};  ///< from vertex to vertex along each axis, in numbers
+    std::vector<double> padded_;            ///< of three values: the vertices, four numbers each
 };
 
 /// The same from colours in double, not rounded, a colour at a time.

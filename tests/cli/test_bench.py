@@ -29,6 +29,17 @@ def test_speed_over_codes(tmp_path, run):
     assert figures["rows"][1]["channels"] == 21
 
 
+def test_kernels_as_ratios_to_a_copy(tmp_path, run):
+    figures = run("spxbench", "kernels", "--runs", "1", "--json", "-", "-o", tmp_path / "made", check=0).json()
+    rows = {r["kernel"]: r for r in figures["rows"]}
+    assert figures["rows"][0]["ratio"] == 1 and "memory copy" in figures["rows"][0]["kernel"]
+    assert {r["target"] for r in rows.values() if "target" in r} == {0.5, 0.8, 0.15, 0.25, 0.05}
+    # Checked before they are timed: exact where nothing is rounded, a float's rounding elsewhere.
+    assert rows["relight by a matrix"]["error"] == 0 < rows["CIEDE2000 ΔE00"]["error"] < 1e-4
+    assert all(r["megapixels_per_second"] > 0 for r in rows.values())
+    assert "| relight by the lattice |" in (tmp_path / "made" / "kernels.md").read_text()
+
+
 def test_accuracy_of_tables_of_ones_own(tmp_path, run):
     nm = np.arange(380, 781, 10)
     bumps = np.stack([0.2 + 0.5 * np.exp(-(((nm - c) / 60) ** 2)) for c in (450, 550, 650)], axis=1)

@@ -9,6 +9,7 @@
 #include "spectex/evaluation.h"
 #include "spectex/heatmap.h"
 #include "spectex/io.h"
+#include "spectex/kernel_speed.h"
 #include "spectex/methods.h"
 #include "spectex/pipeline.h"
 #include "spectex/plan.h"
