@@ -1,6 +1,7 @@
 #include "grid.h"
 
 #include <fmt/format.h>
+#include <sys/resource.h>
 #include <unistd.h>
 
 #include <algorithm>
@@ -240,6 +241,18 @@ int grid(app::App& tool, const GridRequest& request) {
     return deliver(tool, request.folder, "grid", table, std::move(json));
 }
 
+namespace {
+
+/// Of this process, in user and system mode, over all its threads.
+double processor_seconds() {
+    rusage usage{};
+    ::getrusage(RUSAGE_SELF, &usage);
+    const auto of = [](const timeval& t) { return static_cast<double>(t.tv_sec) + 1e-6 * static_cast<double>(t.tv_usec); };
+    return of(usage.ru_utime) + of(usage.ru_stime);
+}
+
+}  // namespace
+
 int scaling(app::App& tool, const GridRequest& request) {
     if (const auto made = make_folder(request.folder); !made) return tool.report(made.error(), request.folder);
     const ScratchFolder scratch(request.folder);
@@ -247,41 +260,56 @@ int scaling(app::App& tool, const GridRequest& request) {
     const auto baseline = read_baseline(request.baseline, "scaling");
     if (!baseline) return tool.report(baseline.error());
     const std::string method = request.methods.empty() ? std::string(default_method) : request.methods.front();
-    std::vector<std::string> header{"what", "at", "seconds", "ns per pixel", "times the first"};
+    std::vector<std::string> header{"what", "at", "seconds", "processor seconds", "ns per pixel", "times the first"};
     if (!request.baseline.empty()) header.emplace_back("times the baseline");
     Table table(header);
     Json json{{"what", "scaling"}, {"method", method}, {"runs", request.runs}, {"rows", Json::array()}};
     Chart chart{"Cost of a texture to spectra", "million pixels", "seconds, whole file", {}, {}, 0};
 
-    const auto measure = [&](const std::string& input, Store store, const BandSet& bands, int threads) -> Result<double> {
+    struct Times {
+        double wall = 0, processor = 0;
+    };
+    const auto measure = [&](const std::string& input, Store store, const BandSet& bands, int threads) -> Result<Times> {
         UpliftOptions options;
         options.job.threads = threads;
         options.settings.method = method;
         options.settings.store = store;
         options.settings.bands = bands;
         options.settings.colorimetry = request.colorimetry;
+        // Solved ahead, for it costs the same at every size.
+        auto model = solve_model(options.settings);
+        if (!model) return std::move(model).error();
+        options.settings.model = *std::move(model);
         const std::string output = scratch.path() + "/out.exr";
-        std::vector<double> seconds;
+        std::vector<double> seconds, busy;
         for (int run = 0; run <= request.runs; ++run) {
             const auto begin = std::chrono::steady_clock::now();
+            const double used = processor_seconds();
             if (const auto report = uplift(input, output, options); !report) return report.error();
             // The first warms what is kept of models and disks.
-            if (run > 0) seconds.push_back(std::chrono::duration<double>(std::chrono::steady_clock::now() - begin).count());
+            if (run == 0) continue;
+            seconds.push_back(std::chrono::duration<double>(std::chrono::steady_clock::now() - begin).count());
+            busy.push_back(processor_seconds() - used);
         }
         std::error_code ignored;
         std::filesystem::remove(output, ignored);
-        std::nth_element(seconds.begin(), seconds.begin() + static_cast<std::ptrdiff_t>(seconds.size() / 2), seconds.end());
-        return seconds[seconds.size() / 2];
+        const auto median = [](std::vector<double>& v) {
+            std::nth_element(v.begin(), v.begin() + static_cast<std::ptrdiff_t>(v.size() / 2), v.end());
+            return v[v.size() / 2];
+        };
+        return Times{median(seconds), median(busy)};
     };
     std::map<std::string, double> first;
-    const auto add = [&](const std::string& what, const std::string& at, double seconds, double pixels, double unit) {
-        const double per = seconds / unit;
+    const auto add = [&](const std::string& what, const std::string& at, const Times& times, double pixels, double unit) {
+        // Of several threads the wall's clock is asked, else the processors': a busy machine does not change them.
+        const double seconds = times.wall, per = (what == "threads" ? times.wall : times.processor) / unit;
         const double ratio = per / first.try_emplace(what, per).first->second;
         const std::string key = what + " " + at;
-        std::vector<std::string> cells{what, at, fmt::format("{:.3g}", seconds), fmt::format("{:.2f}", 1e9 * seconds / pixels), fmt::format("{:.2f}", ratio)};
+        std::vector<std::string> cells{what, at, fmt::format("{:.3g}", seconds), fmt::format("{:.3g}", times.processor),
+                                       fmt::format("{:.2f}", 1e9 * times.processor / pixels), fmt::format("{:.2f}", ratio)};
         if (!request.baseline.empty()) cells.push_back(against(*baseline, key, "seconds", seconds));
         table.add(std::move(cells));
-        json["rows"].push_back({{"key", key}, {"series", what}, {"at", at}, {"seconds", seconds}, {"pixels", pixels}, {"times_first", ratio}});
+        json["rows"].push_back({{"key", key}, {"series", what}, {"at", at}, {"seconds", seconds}, {"processor_seconds", times.processor}, {"pixels", pixels}, {"times_first", ratio}});
     };
     const std::string texture = scratch.path() + "/texture.tif";
     const std::string coefficients = "pixels, to half coefficients", spectra = "pixels, to 36 half bands";
@@ -295,13 +323,13 @@ int scaling(app::App& tool, const GridRequest& request) {
         if (!few) return tool.report(few.error());
         const std::string at = fmt::format("{} Mpixel", static_cast<long long>(pixels / 1048576));
         add(coefficients, at, *few, pixels, pixels);
-        to_coefficients.points.push_back({"", pixels / 1e6, *few});
+        to_coefficients.points.push_back({"", pixels / 1e6, few->wall});
         // Spectra of the largest sizes would fill a disk.
         if (pixels > 17e6) continue;
         const auto many = measure(texture, Store::spectral, bands36, tool.threads());
         if (!many) return tool.report(many.error());
         add(spectra, at, *many, pixels, pixels);
-        to_spectra.points.push_back({"", pixels / 1e6, *many});
+        to_spectra.points.push_back({"", pixels / 1e6, many->wall});
     }
     const int size = 2048;
     if (auto written = write_test_texture(texture, size, size); !written) return tool.report(written.error());

@@ -1,6 +1,7 @@
 // A texture on its way into storage and back: what uplift, and the measure of its round trip, share.
 #pragma once
 
+#include <atomic>
 #include <limits>
 #include <memory>
 #include <mutex>
@@ -66,6 +67,8 @@ struct UpliftSetup {
     std::shared_ptr<const BoundedStore> bounded;  ///< in place of plan.store, under max_error
     std::optional<std::size_t> alpha;             ///< the other channel by which texels are skipped
     Explanation chosen;                           ///< the bands that were chosen for this texture
+    /// Whether some pixel missed the bound.
+    std::shared_ptr<std::atomic<bool>> over_bound = std::make_shared<std::atomic<bool>>(false);
 
     /// Pixels [begin, begin + n) of the strip at row y to stored samples; leaves the linearised input and the mapped colours in scratch.
     Status convert(const RawStrip& raw, int y, std::size_t begin, std::size_t n, Scratch& scratch, std::span<std::byte* const> planes,

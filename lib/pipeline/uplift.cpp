@@ -213,6 +213,7 @@ Status UpliftSetup::convert(const RawStrip& raw, int y, std::size_t begin, std::
     }
     const auto failure = bounded->store({rgb[0], rgb[1], rgb[2]}, n, planes, counts.bounded);
     if (!failure) return {};
+    *over_bound = true;
     const auto width = static_cast<std::size_t>(report.width), p = begin + failure->pixel;
     return Error{ErrorKind::input,
                  fmt::format("{}: pixel {},{} stored as {} has a CIE76 of {:.3g} in its {}: more than --max-error {:g} allows; expected a "
@@ -456,7 +457,10 @@ Result<Explanation> explain_uplift(const std::string& input, const UpliftOptions
     return lines;
 }
 
-Result<UpliftReport> uplift(const std::string& input, const std::string& output, const UpliftOptions& options) {
+namespace {
+
+/// @param missed  the number of bands that were chosen, where some pixel is off by more than the bound with them; else 0.
+Result<UpliftReport> uplift_once(const std::string& input, const std::string& output, const UpliftOptions& options, std::size_t& missed) {
     if (!has_suffix(output, ".exr"))
         return Error{ErrorKind::usage, fmt::format("{}: spectra and coefficients are stored as OpenEXR: expected a name that ends "
                                                    "in .exr",
@@ -570,6 +574,7 @@ Result<UpliftReport> uplift(const std::string& input, const std::string& output,
         });
     if (!status) {
         const auto& e = status.error();
+        if (options.settings.choose_bands && spectral && *setup->over_bound) missed = setup->model->colorimetry().bands().size();
         const bool named = e.message.find(input) != std::string::npos || e.message.find(output) != std::string::npos;
         return named ? e : Error{e.kind, fmt::format("{}: {}", input, e.message)};
     }
@@ -613,6 +618,19 @@ Result<UpliftReport> uplift(const std::string& input, const std::string& output,
         for (const auto& channel : part.channels) report.channels.push_back(channel.name);
     report.type = type;
     return report;
+}
+
+}  // namespace
+
+Result<UpliftReport> uplift(const std::string& input, const std::string& output, const UpliftOptions& options) {
+    UpliftOptions tried = options;
+    for (std::size_t more = 1;; more *= 2) {
+        std::size_t missed = 0;
+        auto report = uplift_once(input, output, tried, missed);
+        if (report || missed == 0) return report;
+        // The bands were chosen by a sample of the colours: some other needs more. The choice ends by itself at its most bands.
+        tried.settings.least_bands = missed + more;
+    }
 }
 
 }  // namespace spectex

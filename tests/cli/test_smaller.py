@@ -119,6 +119,19 @@ def test_few_bands_show_the_texture_right(run, tmp_path):
     assert oracle.cie76(a, b).max() > 1
 
 
+def test_more_bands_where_a_pixel_that_was_not_sampled_needs_them(run, tmp_path):
+    """Bands are chosen by 16384 colours: of more, one may be missed."""
+    codes = np.random.default_rng(3).integers(100, 156, (240, 240, 3), dtype=np.uint8)
+    store = ["--method", "mallett2019", "--store", "spectral", "--bands", "auto", "--for", "FL11", "--max-error", 0.3, "--float", "--json", "-"]
+    found = {}
+    for name, odd in (("greys", codes[0, 0]), ("odd", (255, 0, 255))):
+        codes[-1, -1] = odd
+        write_image(tmp_path / f"{name}.png", codes)
+        found[name] = run("spxuplift", tmp_path / f"{name}.png", "-o", tmp_path / f"{name}.exr", *store, check=0).json()
+    assert len(found["odd"]["bands_nm"]) > len(found["greys"]["bands_nm"])
+    assert max(c["max"] for c in found["odd"]["max_error"]["checks"]) <= 0.3
+
+
 def test_bands_for_other_methods_and_a_bound(run, tmp_path):
     source, out = tmp_path / "patches.png", tmp_path / "few.exr"
     write_image(source, np.random.default_rng(5).integers(0, 256, (4, 6, 3), dtype=np.uint8))
