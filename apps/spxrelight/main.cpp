@@ -126,6 +126,8 @@ int main(int argc, char** argv) {
              }});
     app.choice("--adapt", "METHOD", &adapt, {"none", "vonkries", "bradford", "cat02", "cat16"},
                "chromatic adaptation from the light's white to the output's");
+    app.number("--max-error", "DE", &max_error, 0, 100, "CIE76",
+               "how far a method that is not linear in pieces may be off: with fewer bands (unless given: exact), as a baked table");
     app.choice("--normalize", "HOW", &normalize, {"luminance", "none"},
                "scale every light so that a perfect diffuser has Y = 1, or keep the lamp's power relative to D65");
     app.add({.names = "--relight-observer", .metavar = "O", .text = "observer under the new light",
@@ -138,7 +140,6 @@ int main(int argc, char** argv) {
     app.text("--bake", "FILE", &bake_path,
              "write the relight itself, for linear RGB: .cube, .clf or .spimtx ({illuminant} expands), or an .ocio configuration, "
              "which is begun or added to; needs no IN");
-    app.number("--max-error", "DE", &max_error, 0, 100, "CIE76", "largest difference of a baked method that no table holds exactly");
     app.group("Output");
     app.text("-o,--output", "OUT|DIR", &output, "image to write, with {illuminant} for several lights, or an existing folder");
     app.text("--contact-sheet", "OUT.png", &sheet,
@@ -187,6 +188,8 @@ int main(int argc, char** argv) {
         options.type = out.type;
         options.compression = out.compression;
 
+        // A table needs some tolerance; a picture has none unless it is asked for.
+        if (app.given("--max-error")) options.max_error = max_error;
         if (baking) {
             if (auto baked = bake_to(app, bake_path, shown, options, max_error, !relighting); !baked) return app.report(baked.error());
             if (!relighting) return exit_ok;

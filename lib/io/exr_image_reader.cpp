@@ -77,7 +77,7 @@ void read_exr_attributes(const Imf::Header& header, Attributes& attributes) {
         if (structural_attributes.contains(name) || name.size() > max_attribute_name) continue;
         const Imf::Attribute& a = it.attribute();
         if (const auto* s = dynamic_cast<const Imf::StringAttribute*>(&a)) {
-            if (s->value().size() <= max_attribute_bytes) add(name, s->value());
+            if (s->value().size() <= (name == "spectex:model" ? max_model_bytes : max_attribute_bytes)) add(name, s->value());
         } else if (const auto* i = dynamic_cast<const Imf::IntAttribute*>(&a)) {
             add(name, std::int32_t{i->value()});
         } else if (const auto* f = dynamic_cast<const Imf::FloatAttribute*>(&a)) {

@@ -63,6 +63,8 @@ void assign_channels(ImageHeader& header);
 
 /// Attributes of hostile size or number are left out.
 inline constexpr std::size_t max_attribute_bytes = std::size_t{1} << 16;
+/// The models of some methods are tables.
+inline constexpr std::size_t max_model_bytes = std::size_t{1} << 26;
 inline constexpr std::size_t max_attributes = 1024;
 inline constexpr std::size_t max_attribute_name = 255;
 

@@ -424,16 +424,13 @@ public:
             nodes_.push_back((nm - jakob2019::origin_nm) / jakob2019::unit_nm);
     }
 
-    void reflectance(std::span<const double> rgb, std::span<double> out) const override {
-        constexpr std::size_t block = 512;
-        std::array<double, 3 * block> c;
-        const std::size_t n = rgb.size() / 3, bands = nodes_.size();
-        for (std::size_t begin = 0; begin < n; begin += block) {
-            const std::size_t count = std::min(block, n - begin);
-            const std::span<double> some(c.data(), 3 * count);
-            coefficients(rgb.subspan(3 * begin, 3 * count), some);
-            kernels::evaluate_sigmoids(some, nodes_, out.subspan(begin * bands, count * bands));
-        }
+    void reflectance(std::span<const double> rgb, std::span<double> out) const override { evaluate(nodes_, rgb, out); }
+    bool bands_apart() const override { return true; }
+    void reflectance_in(std::span<const std::size_t> bands, std::span<const double> rgb, std::span<double> out) const override {
+        evaluate(nodes_of(bands), rgb, out);
+    }
+    void reflectance_of_coefficients_in(std::span<const std::size_t> bands, std::span<const double> c, std::span<double> out) const override {
+        kernels::evaluate_sigmoids(c, nodes_of(bands), out);
     }
     std::vector<std::string> coefficient_names() const override { return {"c0", "c1", "c2"}; }
     void coefficients(std::span<const double> rgb, std::span<double> out) const override {
@@ -491,6 +488,22 @@ private:
         std::vector<double> r(nodes_.size());
         kernels::evaluate_sigmoids(c, nodes_, r);
         return colorimetry().rgb_of(r);
+    }
+    void evaluate(std::span<const double> nodes, std::span<const double> rgb, std::span<double> out) const {
+        constexpr std::size_t block = 512;
+        std::array<double, 3 * block> c;
+        const std::size_t n = rgb.size() / 3, bands = nodes.size();
+        for (std::size_t begin = 0; begin < n; begin += block) {
+            const std::size_t count = std::min(block, n - begin);
+            const std::span<double> some(c.data(), 3 * count);
+            coefficients(rgb.subspan(3 * begin, 3 * count), some);
+            kernels::evaluate_sigmoids(some, nodes, out.subspan(begin * bands, count * bands));
+        }
+    }
+    std::vector<double> nodes_of(std::span<const std::size_t> bands) const {
+        std::vector<double> out;
+        for (const std::size_t b : bands) out.push_back(nodes_[b]);
+        return out;
     }
 
     bool from_table_;

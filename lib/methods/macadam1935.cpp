@@ -97,6 +97,14 @@ public:
         const std::size_t bands = colorimetry().bands().size();
         for (std::size_t p = 0; 3 * p + 2 < rgb.size(); ++p) fill(box(&rgb[3 * p]), &out[p * bands]);
     }
+    bool bands_apart() const override { return true; }
+    void reflectance_in(std::span<const std::size_t> bands, std::span<const double> rgb, std::span<double> out) const override {
+        for (std::size_t p = 0; 3 * p + 2 < rgb.size(); ++p) fill_some(box(&rgb[3 * p]), bands, &out[p * bands.size()]);
+    }
+    void reflectance_of_coefficients_in(std::span<const std::size_t> bands, std::span<const double> coefficients,
+                                        std::span<double> out) const override {
+        for (std::size_t p = 0; 3 * p + 2 < coefficients.size(); ++p) fill_some(box_of(&coefficients[3 * p]), bands, &out[p * bands.size()]);
+    }
     std::vector<std::string> coefficient_names() const override { return {"c0", "c1", "c2"}; }
     void coefficients(std::span<const double> rgb, std::span<double> out) const override {
         const auto m = static_cast<double>(columns_.size());
@@ -108,16 +116,8 @@ public:
         }
     }
     void reflectance_of_coefficients(std::span<const double> coefficients, std::span<double> out) const override {
-        const auto m = static_cast<double>(columns_.size());
         const std::size_t bands = colorimetry().bands().size();
-        // From a file, so anything may come; NaN compares false and becomes 0.
-        const auto unit = [](double v) { return v > 0 ? std::min(v, 1.0) : 0.0; };
-        for (std::size_t p = 0; 3 * p + 2 < coefficients.size(); ++p) {
-            Box b{unit(coefficients[3 * p]) * m, unit(coefficients[3 * p + 1]) * m, unit(coefficients[3 * p + 2])};
-            // Boxes are never empty, so equal edges, as float or half may round them, are the whole circle.
-            if (b.to <= b.from) b.to += m;
-            fill(b, &out[p * bands]);
-        }
+        for (std::size_t p = 0; 3 * p + 2 < coefficients.size(); ++p) fill(box_of(&coefficients[3 * p]), &out[p * bands]);
     }
     std::string to_json() const override { return model_json(*this).dump(-1, ' ', false, Json::error_handler_t::replace); }
 
@@ -234,13 +234,25 @@ private:
         return best;
     }
 
-    void fill(const Box& b, double* r) const {
+    Box box_of(const double* coefficients) const {
         const auto m = static_cast<double>(columns_.size());
-        const auto covered = [&](double k) { return std::max(0.0, std::min(b.to, k + 1) - std::max(b.from, k)); };
-        for (std::size_t l = 0; l < group_of_.size(); ++l) {
-            const auto k = static_cast<double>(group_of_[l]);
-            r[l] = b.height * std::min(1.0, covered(k) + covered(k + m));
-        }
+        // From a file, so anything may come; NaN compares false and becomes 0.
+        const auto unit = [](double v) { return v > 0 ? std::min(v, 1.0) : 0.0; };
+        Box b{unit(coefficients[0]) * m, unit(coefficients[1]) * m, unit(coefficients[2])};
+        // Boxes are never empty, so equal edges, as float or half may round them, are the whole circle.
+        if (b.to <= b.from) b.to += m;
+        return b;
+    }
+    double reflectance_of_group(const Box& b, std::size_t group) const {
+        const auto m = static_cast<double>(columns_.size()), k = static_cast<double>(group);
+        const auto covered = [&](double at) { return std::max(0.0, std::min(b.to, at + 1) - std::max(b.from, at)); };
+        return b.height * std::min(1.0, covered(k) + covered(k + m));
+    }
+    void fill(const Box& b, double* r) const {
+        for (std::size_t l = 0; l < group_of_.size(); ++l) r[l] = reflectance_of_group(b, group_of_[l]);
+    }
+    void fill_some(const Box& b, std::span<const std::size_t> bands, double* r) const {
+        for (std::size_t k = 0; k < bands.size(); ++k) r[k] = reflectance_of_group(b, group_of_[bands[k]]);
     }
 
     std::vector<Vector3> columns_;          ///< of A, by group

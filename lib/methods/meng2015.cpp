@@ -208,7 +208,27 @@ public:
         : Model(info, colorimetry), grid_(std::move(grid)), spectra_(std::move(spectra)) {}
 
     void reflectance(std::span<const double> rgb, std::span<double> out) const override {
-        const std::size_t bands = colorimetry().bands().size();
+        evaluate(colorimetry().bands().size(), [](std::size_t l) { return l; }, rgb, out);
+    }
+    bool bands_apart() const override { return true; }
+    void reflectance_in(std::span<const std::size_t> bands, std::span<const double> rgb, std::span<double> out) const override {
+        evaluate(bands.size(), [&](std::size_t l) { return bands[l]; }, rgb, out);
+    }
+    void reflectance_of_coefficients_in(std::span<const std::size_t> bands, std::span<const double> coefficients,
+                                        std::span<double> out) const override {
+        reflectance_in(bands, coefficients, out);
+    }
+    std::string to_json() const override {
+        Json json = model_json(*this);
+        json["spectra"] = spectra_;
+        return json.dump(-1, ' ', false, Json::error_handler_t::replace);
+    }
+
+private:
+    /// @param band_of  the band that is the l-th of `bands`.
+    template <class BandOf>
+    void evaluate(std::size_t bands, const BandOf& band_of, std::span<const double> rgb, std::span<double> out) const {
+        const std::size_t all = colorimetry().bands().size();
         for (std::size_t p = 0; 3 * p + 2 < rgb.size(); ++p) {
             double* r = &out[p * bands];
             const Vector3 xyz = colorimetry().rgb_to_xyz() * Vector3{rgb[3 * p], rgb[3 * p + 1], rgb[3 * p + 2]};
@@ -222,19 +242,13 @@ public:
             std::fill_n(r, bands, 0.0);
             for (std::size_t k = 0; k < 4; ++k) {
                 const double weight = blend.weight[k] * sum;
-                const double* spectrum = &spectra_[blend.node[k] * bands];
-                for (std::size_t l = 0; l < bands; ++l) r[l] += weight * spectrum[l];
+                const double* spectrum = &spectra_[blend.node[k] * all];
+                for (std::size_t l = 0; l < bands; ++l) r[l] += weight * spectrum[band_of(l)];
             }
             for (std::size_t l = 0; l < bands; ++l) r[l] = std::clamp(r[l], 0.0, 1.0);
         }
     }
-    std::string to_json() const override {
-        Json json = model_json(*this);
-        json["spectra"] = spectra_;
-        return json.dump(-1, ' ', false, Json::error_handler_t::replace);
-    }
 
-private:
     Grid grid_;
     std::vector<double> spectra_;  ///< [nodes][bands], each with X + Y + Z = 1
 };

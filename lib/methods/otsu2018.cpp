@@ -213,21 +213,15 @@ public:
     }
 
     void reflectance(std::span<const double> rgb, std::span<double> out) const override {
-        const std::size_t bands = colorimetry().bands().size();
-        for (std::size_t p = 0; 3 * p + 2 < rgb.size(); ++p) {
-            const Vector3 color{rgb[3 * p], rgb[3 * p + 1], rgb[3 * p + 2]};
-            double* r = &out[p * bands];
-            // Black has no chromaticity, and one reflectance.
-            if (color[0] == 0 && color[1] == 0 && color[2] == 0) {
-                std::fill_n(r, bands, 0.0);
-                continue;
-            }
-            const Affine& leaf = leaves_[find(color)];
-            for (std::size_t l = 0; l < bands; ++l) {
-                const double* g = &leaf.gain[3 * l];
-                r[l] = std::clamp(leaf.offset[l] + ((g[0] * color[0] + g[1] * color[1]) + g[2] * color[2]), 0.0, 1.0);
-            }
-        }
+        evaluate(colorimetry().bands().size(), [](std::size_t l) { return l; }, rgb, out);
+    }
+    bool bands_apart() const override { return true; }
+    void reflectance_in(std::span<const std::size_t> bands, std::span<const double> rgb, std::span<double> out) const override {
+        evaluate(bands.size(), [&](std::size_t l) { return bands[l]; }, rgb, out);
+    }
+    void reflectance_of_coefficients_in(std::span<const std::size_t> bands, std::span<const double> coefficients,
+                                        std::span<double> out) const override {
+        reflectance_in(bands, coefficients, out);
     }
     std::string to_json() const override {
         Json json = model_json(*this);
@@ -244,6 +238,25 @@ public:
     }
 
 private:
+    /// @param band_of  the band that is the l-th of `bands`.
+    template <class BandOf>
+    void evaluate(std::size_t bands, const BandOf& band_of, std::span<const double> rgb, std::span<double> out) const {
+        for (std::size_t p = 0; 3 * p + 2 < rgb.size(); ++p) {
+            const Vector3 color{rgb[3 * p], rgb[3 * p + 1], rgb[3 * p + 2]};
+            double* r = &out[p * bands];
+            // Black has no chromaticity, and one reflectance.
+            if (color[0] == 0 && color[1] == 0 && color[2] == 0) {
+                std::fill_n(r, bands, 0.0);
+                continue;
+            }
+            const Affine& leaf = leaves_[find(color)];
+            for (std::size_t l = 0; l < bands; ++l) {
+                const std::size_t b = band_of(l);
+                const double* g = &leaf.gain[3 * b];
+                r[l] = std::clamp(leaf.offset[b] + ((g[0] * color[0] + g[1] * color[1]) + g[2] * color[2]), 0.0, 1.0);
+            }
+        }
+    }
     std::size_t find(const Vector3& rgb) const {
         const Vector3 xyz = colorimetry().rgb_to_xyz() * rgb;
         const double sum = xyz[0] + xyz[1] + xyz[2];

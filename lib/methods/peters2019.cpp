@@ -188,12 +188,14 @@ Solution Solver::solve(const Vector3& rgb) const {
     return s;
 }
 
-void Solver::spectrum(const Solution& s, double* out) const {
+double Solver::reflectance(const Solution& s, std::size_t b) const {
     const Vector3& v = s.multipliers;
-    for (std::size_t b = 0; b < x_.size(); ++b) {
-        const double g = s.scale > 0 ? s.scale * bounded((v[2] * x_[b] + v[1]) * x_[b] + v[0]) : 0;
-        out[b] = s.complement ? 1 - g : g;
-    }
+    const double g = s.scale > 0 ? s.scale * bounded((v[2] * x_[b] + v[1]) * x_[b] + v[0]) : 0;
+    return s.complement ? 1 - g : g;
+}
+
+void Solver::spectrum(const Solution& s, double* out) const {
+    for (std::size_t b = 0; b < x_.size(); ++b) out[b] = reflectance(s, b);
 }
 
 Vector3 Solver::moments(const Solution& s) {
@@ -262,11 +264,17 @@ public:
     }
     void reflectance_of_coefficients(std::span<const double> coefficients, std::span<double> out) const override {
         const std::size_t bands = colorimetry().bands().size();
-        for (std::size_t p = 0; 3 * p + 2 < coefficients.size(); ++p) {
-            Vector3 m{coefficients[3 * p], coefficients[3 * p + 1], coefficients[3 * p + 2]};
-            if (!slopes_.empty()) m = to_moments_ * m;
-            solver_.spectrum(Solver::of_moments(m), &out[p * bands]);
-        }
+        for (std::size_t p = 0; 3 * p + 2 < coefficients.size(); ++p) solver_.spectrum(solution_of(&coefficients[3 * p]), &out[p * bands]);
+    }
+    bool bands_apart() const override { return true; }
+    void reflectance_in(std::span<const std::size_t> bands, std::span<const double> rgb, std::span<double> out) const override {
+        for (std::size_t p = 0; 3 * p + 2 < rgb.size(); ++p)
+            some_bands(solver_.solve({rgb[3 * p], rgb[3 * p + 1], rgb[3 * p + 2]}), bands, &out[p * bands.size()]);
+    }
+    void reflectance_of_coefficients_in(std::span<const std::size_t> bands, std::span<const double> coefficients,
+                                        std::span<double> out) const override {
+        for (std::size_t p = 0; 3 * p + 2 < coefficients.size(); ++p)
+            some_bands(solution_of(&coefficients[3 * p]), bands, &out[p * bands.size()]);
     }
     std::string to_json() const override {
         Json json = model_json(*this);
@@ -275,6 +283,14 @@ public:
     }
 
 private:
+    Solution solution_of(const double* coefficients) const {
+        const Vector3 m{coefficients[0], coefficients[1], coefficients[2]};
+        return Solver::of_moments(slopes_.empty() ? m : to_moments_ * m);
+    }
+    void some_bands(const Solution& s, std::span<const std::size_t> bands, double* out) const {
+        for (std::size_t k = 0; k < bands.size(); ++k) out[k] = solver_.reflectance(s, bands[k]);
+    }
+
     Solver solver_;
     std::vector<double> slopes_;  ///< six for Fourier RGB
     Matrix3 to_fourier_, to_moments_;

@@ -43,6 +43,7 @@ public:
     /// @param rgb  linear; clamped to [0,1], NaN to 0.
     Solution solve(const Vector3& rgb) const;
     /// @param out  [bands], each in [0,1].
+    double reflectance(const Solution& solution, std::size_t band) const;
     void spectrum(const Solution& solution, double* out) const;
     static Vector3 moments(const Solution& solution);
     /// Any three numbers; NaN counts as 0.

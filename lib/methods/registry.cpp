@@ -184,6 +184,38 @@ Result<std::string> read_text(const Json& json, std::string_view member) {
 
 Model::~Model() = default;
 
+namespace {
+
+/// Some bands of n whole spectra, which `form(first, count, spectra)` gives a few colours at a time.
+template <class Form>
+void gather_bands(std::size_t n, std::size_t all, std::span<const std::size_t> bands, std::span<double> out, const Form& form) {
+    constexpr std::size_t block = 64;
+    std::vector<double> spectra(block * all);
+    for (std::size_t first = 0; first < n; first += block) {
+        const std::size_t count = std::min(block, n - first);
+        form(first, count, std::span<double>(spectra.data(), count * all));
+        for (std::size_t p = 0; p < count; ++p)
+            for (std::size_t k = 0; k < bands.size(); ++k) out[(first + p) * bands.size() + k] = spectra[p * all + bands[k]];
+    }
+}
+
+}  // namespace
+
+void Model::reflectance_in(std::span<const std::size_t> bands, std::span<const double> rgb, std::span<double> out) const {
+    gather_bands(rgb.size() / 3, colorimetry_.bands().size(), bands, out, [&](std::size_t first, std::size_t count, std::span<double> spectra) {
+        reflectance(rgb.subspan(3 * first, 3 * count), spectra);
+    });
+}
+
+void Model::reflectance_of_coefficients_in(std::span<const std::size_t> bands, std::span<const double> coefficients,
+                                           std::span<double> out) const {
+    const auto each = static_cast<std::size_t>(info_.coefficients);
+    gather_bands(coefficients.size() / each, colorimetry_.bands().size(), bands, out,
+                 [&](std::size_t first, std::size_t count, std::span<double> spectra) {
+                     reflectance_of_coefficients(coefficients.subspan(each * first, each * count), spectra);
+                 });
+}
+
 const std::vector<MethodInfo>& methods() {
     static const std::vector<MethodInfo> list = [] {
         std::vector<MethodInfo> out;

@@ -24,6 +24,7 @@ Result<RelightSetup> RelightSetup::make(const std::string& input, const RelightO
     request.illuminants = options.illuminants;
     request.adaptation = options.adaptation;
     request.normalization = options.normalization;
+    request.max_error = options.max_error;
 
     if (*kind == FileKind::image) {
         if (options.illuminants.empty()) return unlit();

@@ -10,6 +10,7 @@
 #include "kernels/linear.h"
 #include "kernels/spectra.h"
 #include "plan/color_memory.h"
+#include "plan/quadrature.h"
 #include "spectex/io.h"
 #include "spectral/numeric.h"
 
@@ -29,6 +30,7 @@ constexpr double largest_half = 65504;
 struct OutputWeights {
     std::vector<double> w;
     std::vector<Vector3> whites;  // of each illuminant, XYZ
+    Matrix3 to_xyz;               // of the output space
 };
 
 /// Output RGB from XYZ: the output space's primaries and its own illuminant's white, integrated on the same bands.
@@ -50,6 +52,7 @@ Result<OutputWeights> output_weights(const BandSet& bands, const RelightRequest&
     const auto output = output_colorimetry(bands, request);
     if (!output) return output.error();
     OutputWeights result;
+    result.to_xyz = output->rgb_to_xyz();
     for (const auto& illuminant : request.illuminants) {
         const auto weights = tristimulus_weights(bands, **observer, illuminant, request.normalization);
         if (!weights) return weights.error();
@@ -96,7 +99,7 @@ std::vector<bool> nonzero_columns(const std::vector<double>& w, std::size_t band
 
 }  // namespace
 
-RelightPlan RelightPlan::of_model(std::shared_ptr<const Model> model, std::vector<double> rows) {
+RelightPlan RelightPlan::of_model(std::shared_ptr<const Model> model, std::vector<double> rows, double max_error, const Matrix3& to_xyz) {
     const std::size_t n = model->colorimetry().bands().size();
     RelightPlan plan;
     plan.images_ = rows.size() / (3 * n);
@@ -130,12 +133,41 @@ RelightPlan RelightPlan::of_model(std::shared_ptr<const Model> model, std::vecto
         plan.explanation_.push_back({"skipped", fmt::format("forming {} bands per pixel: the integral is inside the table", n)});
     } else {
         plan.kernel_ = Kernel::spectra;
+        const std::size_t values = 3 * plan.images_;
         const auto needed = nonzero_columns(rows, n);
+        const auto weighing = static_cast<std::size_t>(std::count(needed.begin(), needed.end(), true));
+        std::vector<double> weights;
+        const auto& id = model->info().id;
+        if (const auto fewer = plan::choose_quadrature(*model, rows, to_xyz, max_error)) {
+            plan.formed_ = fewer->bands;
+            weights = fewer->weights;
+            std::vector<double> nm;
+            for (const auto b : fewer->bands) nm.push_back(model->colorimetry().bands()[b]);
+            plan.explanation_.push_back({"kernel", fmt::format("a spectrum of {} bands per pixel, integrated: {} is not linear", nm.size(), id)});
+            plan.explanation_.push_back({"nodes", fmt::format("{} nm, their weights fitted to these illuminants", fmt::join(nm, ", "))});
+            plan.explanation_.push_back({"bound", fmt::format("CIE76 {:.3g}: twice the largest seen of {} colours of the whole cube, half of them not fitted to; "
+                                                              "{:g} is allowed", fewer->error, fewer->colors, max_error)});
+            plan.explanation_.push_back({"skipped", fmt::format("{} of {} bands: {:.0f}% of what forming and summing them costs", n - nm.size(), n,
+                                                                100.0 * static_cast<double>(n - nm.size()) / static_cast<double>(n))});
+        } else {
+            for (std::size_t b = 0; b < n; ++b)
+                if (needed[b]) plan.formed_.push_back(b);
+            for (std::size_t j = 0; j < values; ++j)
+                for (const auto b : plan.formed_) weights.push_back(rows[j * n + b]);
+            plan.explanation_.push_back({"kernel", fmt::format("a spectrum of {} bands per pixel, integrated: {} is not linear", weighing, id)});
+            if (max_error > 0)
+                plan.explanation_.push_back({"bound", model->bands_apart()
+                    ? fmt::format("exact: no fifth of the bands can be left out for a CIE76 of {:g} with colours of the whole cube", max_error)
+                    : "exact: the method forms all bands at once"});
+            else
+                plan.explanation_.push_back({"bound", model->bands_apart() ? "exact: every band that these illuminants weigh is a node; --max-error lets fewer do"
+                                                                           : "exact: every band that these illuminants weigh is a node"});
+            if (weighing < n) plan.explanation_.push_back({"skipped", fmt::format("{} bands of zero weight: never {}", n - weighing,
+                                                                                  model->bands_apart() ? "computed" : "summed")});
+        }
+        for (std::size_t k = 0; k < plan.formed_.size(); ++k)
+            for (std::size_t j = 0; j < values; ++j) plan.formed_weights_.push_back(weights[j * plan.formed_.size() + k]);
         plan.weights_ = std::move(rows);
-        plan.explanation_.push_back({"kernel", fmt::format("a spectrum of {} bands per pixel, integrated: {} is not linear", n,
-                                                           model->info().id)});
-        const auto unused = std::count(needed.begin(), needed.end(), false);
-        if (unused > 0) plan.explanation_.push_back({"skipped", fmt::format("{} bands of zero weight", unused)});
         plan.explanation_.push_back({"skipped", repeated_colors});
         plan.of_coefficients_ = std::make_shared<ColorMemoryOwner>();
         plan.of_colors_ = std::make_shared<ColorMemoryOwner>();
@@ -162,7 +194,7 @@ RelightPlan RelightPlan::of_bands(std::size_t bands, std::vector<double> rows) {
 Result<RelightPlan> RelightPlan::for_model(std::shared_ptr<const Model> model, const RelightRequest& request) {
     auto weights = output_weights(model->colorimetry().bands(), request);
     if (!weights) return std::move(weights).error();
-    auto plan = of_model(std::move(model), std::move(weights->w));
+    auto plan = of_model(std::move(model), std::move(weights->w), request.max_error, weights->to_xyz);
     explain_request(request, *weights, plan.explanation_);
     return plan;
 }
@@ -214,7 +246,7 @@ void RelightPlan::execute(std::span<const float* const> in, std::size_t n, std::
         return;
     case Kernel::spectra:
         integrate_spectra(*of_coefficients_, in, n, out, [this](std::span<const double> coefficients, std::span<double> spectra) {
-            model_->reflectance_of_coefficients(coefficients, spectra);
+            model_->reflectance_of_coefficients_in(formed_, coefficients, spectra);
         });
         return;
     }
@@ -223,7 +255,7 @@ void RelightPlan::execute(std::span<const float* const> in, std::size_t n, std::
 void RelightPlan::execute_colors(std::array<const float*, 3> rgb, std::size_t n, std::span<float* const> out) const {
     if (kernel_ != Kernel::spectra) return execute(rgb, n, out);
     integrate_spectra(*of_colors_, rgb, n, out, [this](std::span<const double> colors, std::span<double> spectra) {
-        model_->reflectance(colors, spectra);
+        model_->reflectance_in(formed_, colors, spectra);
     });
 }
 
@@ -252,15 +284,23 @@ void RelightPlan::relit(std::span<const double> rgb, std::span<double> out) cons
 template <class Reflectance>
 void RelightPlan::integrate_spectra(const ColorMemoryOwner& memory, std::span<const float* const> in, std::size_t n,
                                     std::span<float* const> out, const Reflectance& reflectance) const {
-    const std::size_t bands = model_->colorimetry().bands().size(), c = in.size(), values = 3 * images_;
-    std::vector<double> spectra(bands * block_pixels), numbers;
+    const std::size_t bands = formed_.size(), c = in.size(), values = 3 * images_;
+    std::vector<double> spectra(bands * block_pixels), numbers, sums(values);
     std::vector<float> lit(values * block_pixels);
     const auto compute = [&](std::span<const double> colors, std::span<float> results) {
         const std::size_t count = colors.size() / c;
         reflectance(colors, {spectra.data(), bands * count});
-        for (std::size_t p = 0; p < count; ++p)
-            for (std::size_t j = 0; j < values; ++j)
-                results[p * values + j] = static_cast<float>(dot(&weights_[j * bands], &spectra[p * bands], bands));
+        for (std::size_t p = 0; p < count; ++p) {
+            // All values at once, so that the sums do not wait for each other. In order of the bands; what they lose, 1e-14 of the
+            // light, vanishes in the floats.
+            std::fill(sums.begin(), sums.end(), 0.0);
+            for (std::size_t b = 0; b < bands; ++b) {
+                const double r = spectra[p * bands + b];
+                const double* w = &formed_weights_[b * values];
+                for (std::size_t j = 0; j < values; ++j) sums[j] += w[j] * r;
+            }
+            for (std::size_t j = 0; j < values; ++j) results[p * values + j] = static_cast<float>(sums[j]);
+        }
     };
     for (std::size_t begin = 0; begin < n; begin += block_pixels) {
         const std::size_t count = std::min(block_pixels, n - begin);

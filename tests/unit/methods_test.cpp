@@ -8,6 +8,7 @@
 #include <random>
 #include <set>
 
+#include "spectex/compare.h"
 #include "spectex/methods.h"
 #include "spectex/plan.h"
 
@@ -393,6 +394,130 @@ TEST(RepeatedColours, AreComputedOnceAndGiveTheSame) {
         std::array<float, 3> alone{};
         fresh->execute(std::array<const float*, 3>{&rgb[0][p], &rgb[1][p], &rgb[2][p]}, 1, std::array<float*, 3>{&alone[0], &alone[1], &alone[2]});
         for (std::size_t i = 0; i < 3; ++i) EXPECT_EQ(out[i][p], alone[i]) << p;
+    }
+}
+
+TEST(BandsApart, AreTheBandsOfTheWholeSpectrum) {
+    const auto c = colorimetry("380:780:20");
+    const std::vector<std::size_t> bands{0, 3, 4, 11, 20};
+    const std::vector<double> rgb{0, 0, 0, 1, 1, 1, 1, 0, 0, 0.2, 0.5, 0.1, 1e-6, 0, 1e-5, 0.9, 0.95, 1};
+    const std::size_t n = rgb.size() / 3;
+    std::size_t apart = 0;
+    for (const auto& info : methods()) {
+        const auto m = model(c, info.id);
+        ASSERT_TRUE(m);
+        apart += m->bands_apart();
+        std::vector<double> whole(n * 21), some(n * bands.size()), kept(n * static_cast<std::size_t>(info.coefficients));
+        const auto same = [&](const char* what) {
+            for (std::size_t p = 0; p < n; ++p)
+                for (std::size_t k = 0; k < bands.size(); ++k)
+                    EXPECT_EQ(some[p * bands.size() + k], whole[p * 21 + bands[k]]) << info.id << ' ' << what << ' ' << p << ' ' << bands[k];
+        };
+        m->reflectance(rgb, whole);
+        m->reflectance_in(bands, rgb, some);
+        same("colour");
+        m->coefficients(rgb, kept);
+        m->reflectance_of_coefficients(kept, whole);
+        m->reflectance_of_coefficients_in(bands, kept, some);
+        same("coefficients");
+    }
+    EXPECT_GE(apart, 7u);
+}
+
+/// Remembers which bands it is asked for.
+class Apart final : public Model {
+public:
+    explicit Apart(const Colorimetry& c) : Model({.id = "apart", .title = "", .source = "", .pieces = Pieces::nonlinear}, c) {}
+    void reflectance(std::span<const double>, std::span<double> out) const override {
+        std::fill(out.begin(), out.end(), 0.5);
+        whole = true;
+    }
+    bool bands_apart() const override { return true; }
+    void reflectance_in(std::span<const std::size_t> bands, std::span<const double>, std::span<double> out) const override {
+        std::fill(out.begin(), out.end(), 0.5);
+        asked.assign(bands.begin(), bands.end());
+    }
+    std::string to_json() const override { return "{}"; }
+    mutable bool whole = false;
+    mutable std::vector<std::size_t> asked;
+};
+
+TEST(Nodes, OfZeroWeightAreNeverComputed) {
+    const auto c = colorimetry();
+    const auto m = std::make_shared<Apart>(c);
+    RelightRequest request;
+    request.observer = "cie2006-2";  // which begins at 390 nm
+    request.illuminants.push_back({"narrow", "", SpectralDistribution::make({500, 510, 590, 600}, {0, 1, 1, 0}).value()});
+    const auto plan = RelightPlan::for_model(m, request);
+    ASSERT_TRUE(plan) << plan.error().message;
+    const float rgb[] = {0.5f};
+    float out[3];
+    plan->execute_colors({rgb, rgb, rgb}, 1, std::array<float*, 3>{&out[0], &out[1], &out[2]});
+    EXPECT_FALSE(m->whole);
+    // The kernel of a band reaches to its neighbours: the light is dark at 500 and at 600 nm itself.
+    ASSERT_FALSE(m->asked.empty());
+    EXPECT_EQ(c.bands()[m->asked.front()], 500.0);
+    EXPECT_EQ(c.bands()[m->asked.back()], 600.0);
+    EXPECT_EQ(m->asked.size(), 21u);
+    const auto& lines = plan->explanation();
+    EXPECT_TRUE(std::any_of(lines.begin(), lines.end(), [](const auto& l) { return l.text == "60 bands of zero weight: never computed"; }));
+}
+
+TEST(Nodes, KeepTheirBoundOnColoursThatTheyWereNotChosenBy) {
+    const auto c = colorimetry();
+    RelightRequest request;
+    for (const char* name : {"FL11", "A"}) request.illuminants.push_back(*parse_illuminant(name));
+    std::mt19937_64 random(5);
+    std::uniform_real_distribution<double> uniform(0, 1);
+#ifdef SPECTEX_SLOW_BUILD
+    constexpr std::size_t n = 500;
+    const std::vector<const char*> ids{"otsu2018"};
+#else
+    constexpr std::size_t n = 6000;
+    const std::vector<const char*> ids{"otsu2018", "jakob2019"};
+#endif
+    std::array<std::vector<float>, 3> rgb;
+    for (std::size_t p = 0; p < n; ++p) {
+        double v[3] = {uniform(random), uniform(random), uniform(random)};
+        if (p % 3 == 1) v[random() % 3] = static_cast<double>(random() % 2);
+        if (p % 3 == 2)
+            for (double& x : v) x *= x * x;
+        for (std::size_t k = 0; k < 3; ++k) rgb[k].push_back(static_cast<float>(v[k]));
+    }
+    for (const char* id : ids) {
+        std::vector<std::vector<float>> lit[2];
+        std::string bound, kernel;
+        for (const bool few : {false, true}) {
+            request.max_error = few ? 0.5 : 0;
+            const auto plan = RelightPlan::for_model(model(c, id), request);
+            ASSERT_TRUE(plan);
+            lit[few].assign(6, std::vector<float>(n));
+            std::vector<float*> out;
+            for (auto& plane : lit[few]) out.push_back(plane.data());
+            plan->execute_colors({rgb[0].data(), rgb[1].data(), rgb[2].data()}, n, out);
+            for (const auto& line : plan->explanation()) {
+                if (line.key == "bound") bound = line.text;
+                if (line.key == "kernel") kernel = line.text;
+            }
+        }
+        ASSERT_EQ(bound.find("CIE76 0."), 0u) << bound;
+        const double stated = std::stod(bound.substr(6));
+        EXPECT_LE(stated, 0.5);
+        EXPECT_LT(std::stoi(kernel.substr(kernel.find("of ") + 3)), 65) << kernel;
+        double worst = 0;
+        for (std::size_t k = 0; k < 2; ++k) {
+            const auto w = *tristimulus_weights(c.bands(), c.observer(), request.illuminants[k], Normalization::luminance);
+            const Matrix3 to_xyz = c.rgb_to_xyz();
+            for (std::size_t p = 0; p < n; ++p) {
+                Vector3 lab[2];
+                for (const bool few : {false, true})
+                    lab[few] = lab_from_xyz(to_xyz * Vector3{lit[few][3 * k][p], lit[few][3 * k + 1][p], lit[few][3 * k + 2][p]}, w.white);
+                worst = std::max(worst, delta_e76(lab[0], lab[1]));
+            }
+        }
+        EXPECT_LE(worst, stated) << id;
+        EXPECT_GT(worst, 0) << id;
+        printf("%s: %s; CIE76 of %zu other colours at most %.3g, stated %.3g\n", id, kernel.c_str(), n, worst, stated);
     }
 }
 

@@ -69,6 +69,14 @@ public:
         reflectance(coefficients, out);
     }
 
+    /// Whether one band is formed without the others, so that who needs few bands pays for few.
+    virtual bool bands_apart() const { return false; }
+    /// The reflectances of n colours, or of stored coefficients, in some bands; where bands are not apart all are formed.
+    /// @param bands  indices, ascending. @param out  [n][bands.size()], the very numbers that the whole spectrum has there.
+    virtual void reflectance_in(std::span<const std::size_t> bands, std::span<const double> rgb, std::span<double> out) const;
+    virtual void reflectance_of_coefficients_in(std::span<const std::size_t> bands, std::span<const double> coefficients,
+                                                std::span<double> out) const;
+
     /// [3][bands] row-major for Pieces::linear: r = sum_i rgb_i basis_i. Null otherwise.
     virtual const std::vector<double>* basis() const { return nullptr; }
     /// For Pieces::tetrahedral. Null otherwise.

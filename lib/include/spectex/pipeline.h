@@ -151,6 +151,7 @@ struct RelightOptions {
     std::optional<std::string> observer;  ///< under the new light; by default the input's own
     Adaptation adaptation = Adaptation::none;
     Normalization normalization = Normalization::luminance;
+    double max_error = 0;                 ///< CIE76 that a method which is not linear in pieces may be off by: see RelightRequest
     std::string output_colorspace;        ///< empty: see RelightReport
     std::optional<PixelType> type;
     std::string compression;

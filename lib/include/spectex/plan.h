@@ -38,6 +38,7 @@ struct RelightRequest {
     Adaptation adaptation = Adaptation::none;  ///< from each illuminant's white to the output space's
     Normalization normalization = Normalization::luminance;
     std::string output_space = "BT.709";       ///< linear RGB of this RgbSpace comes out
+    double max_error = 0;  ///< CIE76 that methods which are not linear in pieces may be off by, for the sake of fewer bands
 };
 
 /// From a method's coefficients, or from stored bands, to linear RGB under K illuminants in one pass.
@@ -81,7 +82,7 @@ public:
 
 private:
     enum class Kernel { matrix, lattice, bands, spectra };
-    static RelightPlan of_model(std::shared_ptr<const Model> model, std::vector<double> rows);
+    static RelightPlan of_model(std::shared_ptr<const Model> model, std::vector<double> rows, double max_error = 0, const Matrix3& to_xyz = {});
     static RelightPlan of_bands(std::size_t bands, std::vector<double> rows);
     template <class Reflectance>
     void integrate_spectra(const plan::ColorMemoryOwner& memory, std::span<const float* const> in, std::size_t n,
@@ -92,6 +93,8 @@ private:
     std::vector<bool> needed_;
     std::vector<Matrix3> matrices_;                          // matrix
     std::vector<double> weights_;                            // bands, spectra: [3 images][bands]
+    std::vector<std::size_t> formed_;                        // spectra: the bands that are formed
+    std::vector<double> formed_weights_;                     // spectra: [formed][3 images]
     std::shared_ptr<const Model> model_;                     // spectra
     std::shared_ptr<const plan::ColorMemoryOwner> of_coefficients_, of_colors_;  // spectra
     std::shared_ptr<const LatticeTable> table_;              // lattice: [vertices][3 images]
