@@ -1,6 +1,8 @@
 // spxrelight: textures, coefficients and spectra under other lights.
 #include <fmt/format.h>
 
+#include <cmath>
+
 #include "options.h"
 #include "reports.h"
 
@@ -83,8 +85,8 @@ int sheet_of(App& app, const std::vector<std::string>& inputs, const std::string
     json["difference"] = report->note;
     json["tiles"] = Json::array();
     for (const auto& t : report->tiles) {
-        const std::string kelvin = t.kelvin ? fmt::format("{:.0f} K", *t.kelvin) : "no CCT";
-        app.out(fmt::format("{:<14} {:>8}  Duv {:+.4f}  from D65: mean {:.4g}  max {:.4g} at {},{}{}\n", escape(t.illuminant), kelvin, t.duv,
+        const std::string kelvin = t.kelvin ? fmt::format("{:.1f} K", *t.kelvin) : "no CCT";
+        app.out(fmt::format("{:<14} {:>10}  Duv {:+.4f}  from D65: mean {:.4g}  max {:.4g} at {},{}{}\n", escape(t.illuminant), kelvin, std::round(t.duv * 1e4) / 1e4 + 0.0,
                             t.mean, t.max, t.max_at[0], t.max_at[1],
                             t.clipped > 0 ? fmt::format("  {} samples of the tile clipped", t.clipped) : ""));
         json["tiles"].push_back({{"illuminant", t.illuminant}, {"title", t.title}, {"cct_kelvin", t.kelvin ? Json(*t.kelvin) : Json()},

@@ -3,6 +3,7 @@
 #include <fmt/format.h>
 
 #include <algorithm>
+#include <cmath>
 #include <iterator>
 #include <optional>
 #include <sstream>
@@ -213,11 +214,19 @@ std::string spimtx_text(const Matrix3& m) {
     return out;
 }
 
-std::string cube_text(const LatticeTable& table, const Remarks& remarks) {
+std::string cube_text(const LatticeTable& table, bool of_roots, const Remarks& remarks) {
     std::string out;
     for (const auto& remark : remarks) out += "# " + remark + "\n";
     const std::size_t n = table.knots[0].size();
-    out += fmt::format("\nLUT_3D_SIZE {}\nDOMAIN_MIN 0 0 0\nDOMAIN_MAX 1 1 1\n", n);
+    if (of_roots) {
+        out += fmt::format("\nLUT_1D_SIZE {}\nLUT_1D_INPUT_RANGE 0 1\nLUT_3D_SIZE {}\nLUT_3D_INPUT_RANGE 0 1\n", shaper_entries, n);
+        for (int i = 0; i < shaper_entries; ++i) {
+            const double root = std::sqrt(static_cast<double>(i) / (shaper_entries - 1)), row[] = {root, root, root};
+            append_row(out, row, 3);
+        }
+    } else {
+        out += fmt::format("\nLUT_3D_SIZE {}\nDOMAIN_MIN 0 0 0\nDOMAIN_MAX 1 1 1\n", n);
+    }
     // Red is the fastest here, the slowest in the table.
     for (std::size_t b = 0; b < n; ++b)
         for (std::size_t g = 0; g < n; ++g)

@@ -15,9 +15,13 @@ using Remarks = std::vector<std::string>;
 
 /// Twelve numbers, no comments: the format has none.
 std::string spimtx_text(const Matrix3& m);
-/// Iridas cube. It cannot say that its interpolation is tetrahedral; the remarks must.
-/// @param table  three values per vertex, the same evenly spaced knots on every axis.
-std::string cube_text(const LatticeTable& table, const Remarks& remarks);
+/// Entries of the table of square roots that may stand in a cube: up to 1 / 4095 its root is a straight line.
+inline constexpr int shaper_entries = 4096;
+/// Iridas cube, or DaVinci Resolve's with a one-dimensional table first. It cannot say that its interpolation is tetrahedral; the
+/// remarks must.
+/// @param table     three values per vertex, the same evenly spaced knots on every axis.
+/// @param of_roots  the table is one of the square roots of the colours, which the file takes first.
+std::string cube_text(const LatticeTable& table, bool of_roots, const Remarks& remarks);
 /// Common LUT Format 3 (SMPTE ST 2136-1), floats, tetrahedral. @param name  the transform's name and, escaped, its id.
 std::string clf_text(const Matrix3& m, const std::string& name, const RgbSpace& space, const Remarks& remarks);
 /// @param of_roots  the table is one of the square roots of the colours, which the file takes first.

@@ -84,9 +84,29 @@ Answers test_colors() {
     return a;
 }
 
-/// A table of `n` vertices an axis, sampled from a plan.
-/// @param squared  vertices lie at the squares of the knots: the table takes square roots.
-LatticeTable sampled(const RelightPlan& plan, std::size_t n, bool squared) {
+/// What a table takes of each component. Dark colours, where CIELab is steep, need a finer grid than light ones.
+enum class Shaper {
+    none,
+    root,     ///< its square root
+    rooting,  ///< the same at color::shaper_entries even places, and linear in between
+};
+double shaped(Shaper shaper, double v) {
+    if (shaper == Shaper::none) return v;
+    if (shaper == Shaper::root) return std::sqrt(v);
+    constexpr double last = color::shaper_entries - 1;
+    const double i = std::min(std::floor(v * last), last - 1), low = std::sqrt(i / last);
+    return low + (v * last - i) * (std::sqrt((i + 1) / last) - low);
+}
+double unshaped(Shaper shaper, double v) {
+    if (shaper == Shaper::none) return v;
+    if (shaper == Shaper::root) return v * v;
+    constexpr double last = color::shaper_entries - 1;
+    const double i = std::min(std::floor(v * v * last), last - 1), low = std::sqrt(i / last);
+    return (i + (v - low) / (std::sqrt((i + 1) / last) - low)) / last;
+}
+
+/// A table of `n` vertices an axis, sampled from a plan. @param shaper  what stands before it.
+LatticeTable sampled(const RelightPlan& plan, std::size_t n, Shaper shaper) {
     LatticeTable table;
     table.knots = {even_knots(n), even_knots(n), even_knots(n)};
     table.values = 3 * plan.images();
@@ -94,10 +114,7 @@ LatticeTable sampled(const RelightPlan& plan, std::size_t n, bool squared) {
     // A slab of red at a time bounds the planes.
     for (std::size_t r = 0; r < n; ++r) {
         Answers slab;
-        const auto at = [&](std::size_t i) {
-            const double x = table.knots[0][i];
-            return static_cast<float>(squared ? x * x : x);
-        };
+        const auto at = [&](std::size_t i) { return static_cast<float>(unshaped(shaper, table.knots[0][i])); };
         for (std::size_t g = 0; g < n; ++g)
             for (std::size_t b = 0; b < n; ++b) slab.add(at(r), at(g), at(b));
         slab.answer(plan);
@@ -111,7 +128,7 @@ struct Errors {
     double mean = 0, max = 0;
 };
 /// CIE76 of a table against the truth, per image.
-std::vector<Errors> errors_of(const LatticeTable& table, bool squared, const Answers& truth, const Matrix3& to_xyz) {
+std::vector<Errors> errors_of(const LatticeTable& table, Shaper shaper, const Answers& truth, const Matrix3& to_xyz) {
     const std::size_t n = truth.size(), images = table.values / 3;
     Answers got;
     got.lit.assign(table.values, std::vector<float>(n));
@@ -119,9 +136,8 @@ std::vector<Errors> errors_of(const LatticeTable& table, bool squared, const Ans
     for (auto& plane : got.lit) out.push_back(plane.data());
     kernels::LatticeKernel kernel(table);
     auto taken = truth.rgb;
-    if (squared)
-        for (auto& plane : taken)
-            for (float& v : plane) v = std::sqrt(v);
+    for (auto& plane : taken)
+        for (float& v : plane) v = static_cast<float>(shaped(shaper, static_cast<double>(v)));
     kernel({taken[0].data(), taken[1].data(), taken[2].data()}, n, out.data());
     std::vector<Errors> errors(images);
     std::vector<float> difference(n);
@@ -212,11 +228,11 @@ Result<BakeReport> bake(const std::vector<std::string>& outputs, const RelightOp
     LatticeTable table;
     std::vector<Errors> errors(images);
     bool exact = true;
-    // Dark colours, where CIELab is steep, need a finer grid than light ones; of these formats CLF alone can say so.
-    const bool squared = !linear && suffix != ".cube" && !(plan->table() && is_even_cube(*plan->table()));
+    const bool sought = !linear && !(plan->table() && is_even_cube(*plan->table()));
+    Shaper shaper = sought && suffix != ".cube" ? Shaper::root : Shaper::none;
     if (linear) {
         // A matrix on eight vertices, for the format that knows tables alone.
-        if (suffix == ".cube") table = sampled(*plan, 2, false);
+        if (suffix == ".cube") table = sampled(*plan, 2, Shaper::none);
     } else if (plan->table() && is_even_cube(*plan->table())) {
         table = *plan->table();
     } else {
@@ -227,8 +243,14 @@ Result<BakeReport> bake(const std::vector<std::string>& outputs, const RelightOp
         // Errors fall with the grid, if not at each step: the least grid is sought by halves, and the one that is taken was
         // itself measured.
         std::size_t low = 1, high = largest_grid;
-        table = sampled(*plan, high, squared);
-        errors = errors_of(table, squared, truth, to_xyz);
+        table = sampled(*plan, high, shaper);
+        errors = errors_of(table, shaper, truth, to_xyz);
+        if (suffix == ".cube" && worst(errors) > max_error) {
+            // Not every reader of this format takes a one-dimensional table before the other, so it is there only at need.
+            shaper = Shaper::rooting;
+            table = sampled(*plan, high, shaper);
+            errors = errors_of(table, shaper, truth, to_xyz);
+        }
         if (worst(errors) > max_error)
             return Error{ErrorKind::input,
                          fmt::format("{} under these lights: a grid of {} vertices an axis is still off by CIE76 {:.3g}, expected at most "
@@ -236,8 +258,8 @@ Result<BakeReport> bake(const std::vector<std::string>& outputs, const RelightOp
                                      options.method, high, worst(errors), max_error, default_method)};
         while (high - low > 1) {
             const std::size_t middle = (low + high) / 2;
-            auto candidate = sampled(*plan, middle, squared);
-            auto measured = errors_of(candidate, squared, truth, to_xyz);
+            auto candidate = sampled(*plan, middle, shaper);
+            auto measured = errors_of(candidate, shaper, truth, to_xyz);
             if (worst(measured) <= max_error) {
                 high = middle;
                 table = std::move(candidate);
@@ -282,14 +304,17 @@ Result<BakeReport> bake(const std::vector<std::string>& outputs, const RelightOp
         if (suffix == ".cube")
             remarks.push_back("This format cannot name its interpolation: set it to tetrahedral where the file is used "
                               "(OCIO: FileTransform interpolation=tetrahedral)");
+        if (shaper == Shaper::rooting)
+            remarks.push_back("A one-dimensional table of square roots stands first, as DaVinci Resolve and OpenColorIO read it; readers that "
+                              "know only one table in a file need .clf, or a larger --max-error");
         const std::string name = fmt::format("{} under {}", (*model)->info().id, light.name);
         const auto one = table.vertices.empty() ? LatticeTable{} : table_of(table, k);
         if (suffix == ".cube")
-            texts.push_back(color::cube_text(one, remarks));
+            texts.push_back(color::cube_text(one, shaper == Shaper::rooting, remarks));
         else if (suffix == ".spimtx")
             texts.push_back(color::spimtx_text(*plan->matrix(k)));
         else
-            texts.push_back(output.grid ? color::clf_text(one, squared, name, space, remarks)
+            texts.push_back(output.grid ? color::clf_text(one, shaper == Shaper::root, name, space, remarks)
                                         : color::clf_text(*plan->matrix(k), name, space, remarks));
         if (config) {
             std::string description = remarks[0];

@@ -61,8 +61,9 @@ std::string fitted(const std::string& text, double width, double size, Weight we
     return "…";
 }
 
+/// To a tenth, for CIE A, 2856 K by name, is 2855.5 K by today's constants: whole kelvins would seem to contradict the name.
 std::string kelvin_text(const std::optional<double>& kelvin) {
-    return kelvin ? fmt::format("{:.0f} K", *kelvin) : std::string("no CCT");
+    return kelvin ? fmt::format("{:.1f} K", *kelvin) : std::string("no CCT");
 }
 
 std::string figures_text(const ContactSheetReport::Tile& tile) {
