@@ -280,7 +280,7 @@ double contradiction(TextureUse use, double score, const PixelStatistics& p, std
     }
     // A channel that is empty everywhere, as in hardly any picture: scalars are kept in the others.
     const auto empty = [&](std::size_t k) { return p.mean[k] <= 0.01 && p.deviation[k] <= 0.03; };
-    if (is_scalar(use) && score > hint_score && p.channels == 3 && p.grey < 0.7 && !p.constant && (empty(0) || empty(1) || empty(2))) return 0;
+    if (is_scalar(use) && use != mask && score > hint_score && p.channels == 3 && p.grey < 0.7 && !p.constant && (empty(0) || empty(1) || empty(2))) return 0;
     if (is_scalar(use) && p.channels == 3 && p.grey < 0.7) {
         says = fmt::format("{:.0f}% of its pixels are coloured", 100 * (1 - p.grey));
         // Coloured specular maps are reflectances at normal incidence; masks may keep one weight in each channel.
