@@ -20,7 +20,9 @@ Json to_json(const InputReport& r) {
               {"colorspace", r.colorspace},
               {"colorspace_reason", r.colorspace_reason},
               {"nonfinite", r.nonfinite},
-              {"out_of_gamut", r.out_of_gamut}};
+              {"out_of_gamut", r.out_of_gamut},
+              {"unreached", r.unreached}};
+    if (r.unreached > 0) json["first_unreached"] = r.first_unreached;
     if (r.nonfinite > 0) json["first_nonfinite"] = r.first_nonfinite;
     return json;
 }
@@ -43,6 +45,10 @@ void warn_about(App& app, const InputReport& r) {
     if (r.out_of_gamut > 0)
         app.warn(fmt::format("{}: {} of {} pixels were outside 0..1, where no reflectance lies: mapped as --gamut says", r.path,
                              r.out_of_gamut, std::uint64_t(r.width) * std::uint64_t(r.height)));
+    if (r.unreached > 0)
+        app.warn(fmt::format("{}: {} pixels have no spectrum of this method, the first at {},{}: the nearest was taken; spxdiff --roundtrip --map "
+                             "shows by how much each is off",
+                             r.path, r.unreached, r.first_unreached[0], r.first_unreached[1]));
 }
 
 void explain(App& app, std::string_view title, const Explanation& lines) {

@@ -29,6 +29,7 @@ struct Request {
     std::int64_t stride = 1, lines = 500, seed = 1;
     bench::GridRequest grid;
     std::string csv;
+    bool brief = false;
     std::int64_t colors = 1000000;
     std::vector<std::string> groups;
 };
@@ -232,6 +233,7 @@ int stability(app::App& tool, const Request& request, const Colorimetry& c) {
     wanted.options.threads = tool.threads();
     wanted.folder = request.folder;
     wanted.csv = request.csv;
+    wanted.brief = request.brief;
     return bench::stability(tool, wanted, c);
 }
 
@@ -265,7 +267,8 @@ int main(int argc, char** argv) {
     tool.integer("--stride", "N", &request.stride, 1, 65536, "speed, stability: takes every N-th of the sRGB codes");
     tool.integer("--colors", "N", &request.colors, 0, 1ll << 40, "stability: random linear colours");
     tool.list("--groups", "G,...", &request.groups, "stability: some of colours, differences, methods, solvers, lights, sums, conditioning; all, unless given");
-    tool.text("--csv", "FILE", &request.csv, "stability: the table as CSV");
+    tool.text("--csv", "FILE", &request.csv, "stability: the whole table as CSV");
+    tool.flag("--brief", &request.brief, "stability: print a row a group instead of a row a path");
     tool.list("--sets", "S,...", &request.sets, "accuracy: sets of measured reflectances; all, unless given");
     tool.list("--unseen", "FILE,...", &request.unseen, "accuracy: tables of reflectances that are predicted and never learnt from");
     tool.integer("--lines", "N", &request.lines, 0, 1000000, "smoothness: random lines through the cube");

@@ -12,6 +12,27 @@ std::string figure(double v) { return std::isnan(v) ? "" : v == 0 ? "0" : fmt::f
 
 app::Json finite_or_null(double v) { return std::isfinite(v) ? app::Json(v) : app::Json(); }
 
+/// Of each group the path that comes nearest to its bound.
+Table by_group(const StabilityReport& report) {
+    Table table({"group", "paths", "cases", "nearest to its bound", "worst", "of", "bound", "at", "kept"});
+    for (const auto& group : stability_groups()) {
+        const StabilityRow* nearest = nullptr;
+        std::uint64_t paths = 0, cases = 0, kept = 0;
+        double most = -1;
+        for (const auto& r : report.rows) {
+            if (r.group != group) continue;
+            ++paths, cases += r.cases, kept += r.kept();
+            // What a bound cannot be neared by, a share of nothing, leaves the first of its group.
+            const double near = !r.kept() ? HUGE_VAL : r.most > 0 && std::isfinite(r.most) ? r.worst / r.most : 0;
+            if (near > most) most = near, nearest = &r;
+        }
+        if (nearest)
+            table.add({group, std::to_string(paths), std::to_string(cases), nearest->path, figure(nearest->worst), nearest->unit, figure(nearest->most),
+                       nearest->worst_at, kept == paths ? "all" : fmt::format("{} of {}", kept, paths)});
+    }
+    return table;
+}
+
 }  // namespace
 
 int stability(app::App& tool, const StabilityRequest& request, const Colorimetry& colorimetry) {
@@ -40,7 +61,7 @@ int stability(app::App& tool, const StabilityRequest& request, const Colorimetry
     }
     if (!request.csv.empty())
         if (const auto written = write_text_file(request.csv, table.csv()); !written) return tool.report(written.error(), request.csv);
-    const int code = deliver(tool, request.folder, "stability", table, std::move(json));
+    const int code = deliver(tool, request.folder, "stability", request.brief ? by_group(*report) : table, std::move(json));
     if (!report->solvers.empty()) tool.out(fmt::format("\n{}", solvers.markdown()));
     if (code == app::exit_ok && report->failures() > 0) {
         tool.warn(fmt::format("{} of {} bounds do not hold", report->failures(), report->rows.size()));

@@ -9,6 +9,7 @@ namespace spectex::bench {
 struct StabilityRequest {
     StabilityOptions options;
     std::string folder, csv;
+    bool brief = false;  ///< print a row a group
 };
 
 int stability(app::App& tool, const StabilityRequest& request, const Colorimetry& colorimetry);

@@ -8,6 +8,7 @@
 #include "kernels/convert.h"
 #include "kernels/linear.h"
 #include "spectex/color.h"
+#include "spectex/methods.h"
 
 namespace spectex::stability {
 namespace {
@@ -299,6 +300,51 @@ void matrix_and_lab(Study& study) {
     }
 }
 
+/// Whatever comes, reflectances can be made of what is left, and it is counted.
+void into_gamut(Study& study) {
+    const Colors colors(study.options, Colors::Range::any, true);
+    const Vector3 luminance{study.colorimetry.rgb_to_xyz()(1, 0), study.colorimetry.rgb_to_xyz()(1, 1), study.colorimetry.rgb_to_xyz()(1, 2)};
+    for (const GamutPolicy policy : {GamutPolicy::clip, GamutPolicy::desaturate}) {
+        const auto tally = measure(colors.size(), 1024, [&](std::uint64_t first, std::uint64_t last, Tally& t) {
+            for (std::uint64_t i = first; i < last; ++i) {
+                const Vector3 rgb = colors[i];
+                std::array<float, 3> v;
+                bool finite = true, inside = true;
+                double size = 0;
+                for (std::size_t c = 0; c < 3; ++c) {
+                    v[c] = static_cast<float>(rgb[c]);
+                    finite = finite && std::isfinite(rgb[c]), inside = inside && rgb[c] >= 0 && rgb[c] <= 1;
+                    size = std::max(size, std::fabs(rgb[c]));
+                }
+                GamutCounts counts;
+                map_into_gamut({&v[0], &v[1], &v[2]}, 1, policy, luminance, counts);
+                bool broken = counts.nonfinite != (finite ? 0u : 1u) || counts.out_of_gamut != (finite && !inside ? 1u : 0u);
+                for (const float x : v) broken = broken || !(x >= 0 && x <= 1);
+                double worst = 0;
+                // Of larger numbers the luminance cancels to no digits.
+                if (!broken && finite && size < 1e6) {
+                    Quad y = 0, keep = 1;
+                    for (std::size_t c = 0; c < 3; ++c) y += Quad(luminance[c]) * Quad(rgb[c]);
+                    const Quad grey = y < 0 ? Quad(0) : y > 1 ? Quad(1) : y;
+                    for (const double x : rgb) {
+                        if (x > 1) keep = std::min(keep, Quad((1 - grey) / (Quad(x) - grey)));
+                        if (x < 0) keep = std::min(keep, Quad(grey / (grey - Quad(x))));
+                    }
+                    for (std::size_t c = 0; c < 3; ++c) {
+                        Quad exact = policy == GamutPolicy::clip ? Quad(rgb[c]) : Quad(grey + keep * (Quad(rgb[c]) - grey));
+                        exact = exact < 0 ? Quad(0) : exact > 1 ? Quad(1) : exact;
+                        worst = std::max(worst, static_cast<double>(quad::abs(Quad(Quad(v[c]) - exact))) / 0x1p-24);
+                    }
+                }
+                t.add(i, broken ? std::nan("") : worst);
+            }
+        });
+        study.add("colours", policy == GamutPolicy::clip ? "into the gamut by clipping" : "into the gamut by desaturation", "2^-24", tally,
+                  [&](std::uint64_t i) { return colors.describe(i); },
+                  {policy == GamutPolicy::clip ? 0 : 0.51, HUGE_VAL, "in [0,1] and counted, whatever comes; double inside, rounded once"});
+    }
+}
+
 }  // namespace
 
 void study_colors(Study& study) {
@@ -318,6 +364,7 @@ void study_colors(Study& study) {
     changed_codes(study);
     halves(study);
     matrix_and_lab(study);
+    into_gamut(study);
 }
 
 }  // namespace spectex::stability

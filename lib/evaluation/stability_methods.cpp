@@ -2,6 +2,7 @@
 #include <fmt/format.h>
 
 #include <algorithm>
+#include <atomic>
 #include <cstring>
 #include <mutex>
 
@@ -263,8 +264,6 @@ Status study_solvers(Study& study) {
     const auto chosen = [&](std::string_view prefix) {
         return std::any_of(study.options.methods.begin(), study.options.methods.end(), [&](const auto& id) { return id.starts_with(prefix); });
     };
-    constexpr std::uint64_t codes = 1u << 24;
-    const std::uint64_t stride = study.options.stride;
     StabilityOptions only_codes = study.options;
     only_codes.colors = 0, only_codes.adversaries = 1u << 30;
     if (chosen("jakob2019")) {
@@ -306,7 +305,60 @@ Status study_solvers(Study& study) {
         study.figure("solvers", "jakob2019: codes without a solution", "codes", static_cast<double>(all.nearest), "",
                      {0, HUGE_VAL, "every colour of the cube of BT.709 has a sigmoid"});
     }
-    (void)codes, (void)stride;
+    // Outside the solid of object colours there is no spectrum: the nearest is taken, named, and finite.
+    if (chosen("jakob2019")) {
+        ColorimetrySpec wide;
+        wide.rgb_space = "Rec.2020";
+        const auto colorimetry = Colorimetry::make(wide, study.colorimetry.bands());
+        const auto model = colorimetry ? make_model("jakob2019", *colorimetry) : Result<std::shared_ptr<const Model>>(colorimetry.error());
+        if (!model) return model.error();
+        only_codes.stride = std::max(study.options.stride, 4099u);
+        const Colors colors(only_codes, Colors::Range::cube, true);
+        const std::size_t bands = colorimetry->bands().size();
+        const auto& a = colorimetry->sensing_matrix();
+        std::atomic<std::uint64_t> missed{0};
+        const auto tally = measure(colors.size(), 256, [&](std::uint64_t first, std::uint64_t last, Tally& t) {
+            const auto rgb = flat(colors, first, last);
+            std::vector<double> r((last - first) * bands);
+            (*model)->reflectance(rgb, r);
+            const auto named = (*model)->unreached(rgb);
+            missed += named.size();
+            for (std::uint64_t i = first; i < last; ++i) {
+                quad::Triple<long double> sum, size;
+                integrals(a, &r[(i - first) * bands], bands, sum, size);
+                double miss = 0;
+                bool broken = false;
+                for (std::size_t c = 0; c < 3; ++c) miss = std::max(miss, std::fabs(static_cast<double>(sum[c]) - rgb[3 * (i - first) + c]));
+                for (std::size_t b = 0; b < bands; ++b) broken = broken || !(r[(i - first) * bands + b] >= 0 && r[(i - first) * bands + b] <= 1);
+                const bool is_named = std::binary_search(named.begin(), named.end(), i - first);
+                // Named where it is off, and nowhere else.
+                t.add(i, broken || (miss > 1e-9 && !is_named) || (miss < 1e-13 * std::max({rgb[3 * (i - first)], rgb[3 * (i - first) + 1], rgb[3 * (i - first) + 2]}) && is_named) ? std::nan("") : is_named ? miss : 0);
+            }
+        });
+        study.report.solvers.push_back({"jakob2019, Rec.2020", tally.cases, missed.load(), {{"none found: the nearest", missed.load()}}});
+        study.add("solvers", "jakob2019 in Rec.2020: the nearest where there is none, and named", "linear RGB", tally,
+                  [&](std::uint64_t i) { return colors.describe(i); }, {0.5, HUGE_VAL, "finite, in [0,1] and off by what the solid of object colours lacks"});
+    }
+    if (chosen("peters2019")) {
+        only_codes.stride = std::max<std::uint32_t>(study.options.stride, 20011);
+        const Colors colors(only_codes, Colors::Range::cube, true);
+        const peters2019::Solver solver(study.colorimetry);
+        std::array<std::atomic<std::uint64_t>, 5> steps{};
+        std::atomic<std::uint64_t> missed{0};
+        const auto tally = measure(colors.size(), 64, [&](std::uint64_t first, std::uint64_t last, Tally& t) {
+            for (std::uint64_t i = first; i < last; ++i) {
+                const auto s = solver.solve(colors[i]);
+                ++steps[static_cast<std::size_t>(s.steps <= 0 ? 0 : s.steps <= 8 ? 1 : s.steps <= 16 ? 2 : s.steps <= 32 ? 3 : 4)];
+                missed += s.error > 1e-9;
+                t.add(i, s.error);
+            }
+        });
+        study.report.solvers.push_back({"peters2019", tally.cases, missed.load(),
+                                        {{"closed form", steps[0]}, {"1 to 8 Newton steps", steps[1]}, {"9 to 16", steps[2]}, {"17 to 32", steps[3]},
+                                         {"more", steps[4]}, {"none found: the nearest", missed.load()}}});
+        study.add("solvers", "peters2019: error of what the solver found", "of the colour", tally, [&](std::uint64_t i) { return colors.describe(i); },
+                  {1e-11, HUGE_VAL, "Newton's steps end at 1e-12, or rounding"});
+    }
     return {};
 }
 

@@ -163,8 +163,24 @@ bool Solver::newton(const Vector3& q, Vector3& c) const {
     return error <= enough;
 }
 
-/// Levenberg 1944 and Marquardt 1963 on the three components of Lab.
-void Solver::nearest(const Vector3& rgb, Vector3& c) const {
+/// The last sigmoid on the straight line from grey: the colour q with as little taken off its saturation as sixteenths allow.
+Vector3 Solver::towards(const Vector3& q) const {
+    const double grey = std::clamp((q[0] + q[1] + q[2]) / 3, darkest, 0.5);
+    Vector3 c{0, 0, (grey - 0.5) / std::sqrt(grey * (1 - grey))};
+    double reached = 0, step = 1;
+    while (reached < 1 && step >= 1.0 / 16) {
+        const double goal = std::min(1.0, reached + step);
+        Vector3 trial = c;
+        if (newton({grey + goal * (q[0] - grey), grey + goal * (q[1] - grey), grey + goal * (q[2] - grey)}, trial))
+            c = trial, reached = goal;
+        else
+            step /= 2;
+    }
+    return c;
+}
+
+/// Levenberg 1944 and Marquardt 1963 on the three components of Lab. @return the squared CIE76 that is left.
+double Solver::nearest(const Vector3& rgb, Vector3& c) const {
     const Vector3 target = rgb_to_xyz_ * rgb;
     const auto evaluate = [&](const Vector3& at, Vector3& e, Matrix3& slope) {
         Vector3 colour;
@@ -184,6 +200,8 @@ void Solver::nearest(const Vector3& rgb, Vector3& c) const {
         return e[0] * e[0] + e[1] * e[1] + e[2] * e[2];
     };
     constexpr int most_steps = 60;
+    // The nearest ones are boxes, in the limit; a sigmoid this steep is one, and steeper ones have no slope to follow.
+    constexpr double steepest = 1e5;
     Vector3 e;
     Matrix3 slope;
     double error = evaluate(c, e, slope), damping = 1e-3;
@@ -204,7 +222,7 @@ void Solver::nearest(const Vector3& rgb, Vector3& c) const {
         Vector3 next_e;
         Matrix3 next_slope;
         const double next_error = evaluate(next, next_e, next_slope);
-        if (next_error < error) {
+        if (next_error < error && std::max({std::fabs(next[0]), std::fabs(next[1]), std::fabs(next[2])}) <= steepest) {
             const bool settled = error - next_error < 1e-10 * error;
             c = next, e = next_e, slope = next_slope, error = next_error;
             damping /= 5;
@@ -213,6 +231,7 @@ void Solver::nearest(const Vector3& rgb, Vector3& c) const {
             damping *= 4;
         }
     }
+    return error;
 }
 
 Vector3 Solver::from_grey(const Vector3& q) const {
@@ -238,13 +257,17 @@ bool Solver::newton_or_nearest(const Mirrored& m, const Vector3& start, Vector3&
         reached = newton(m.q, c);
     }
     if (!reached) {
-        c = start;
         Vector3 rgb = m.q;
-        if (m.flipped) {
+        if (m.flipped)
             for (std::size_t i = 0; i < 3; ++i) rgb[i] = equations_.sum[i] - rgb[i];
-            for (double& v : c) v = -v;
+        // From the guess, which near such colours may be far off, and from what surely has the hue.
+        double least = HUGE_VAL;
+        for (Vector3 from : {towards(m.q), start}) {
+            if (m.flipped)
+                for (double& v : from) v = -v;
+            const double left = nearest(rgb, from);
+            if (left < least) least = left, c = from;
         }
-        nearest(rgb, c);
         if (m.flipped)
             for (double& v : c) v = -v;
     }
@@ -325,7 +348,7 @@ void Solver::tabulate(std::size_t n) {
     equations_.table = std::move(table);
 }
 
-void Solver::solve(std::span<const double> rgb, std::span<double> out, Counts* counts) const {
+void Solver::solve(std::span<const double> rgb, std::span<double> out, Counts* counts, std::vector<std::size_t>* unreached) const {
     std::array<double, 3 * block> q, c;
     std::array<bool, block> accepted;
     std::array<std::size_t, block> where;
@@ -338,6 +361,7 @@ void Solver::solve(std::span<const double> rgb, std::span<double> out, Counts* c
         Vector3 solution;
         const bool reached = newton_or_nearest(m, guess(m.q), solution);
         ++(reached ? tally.damped : tally.nearest);
+        if (!reached && unreached) unreached->push_back(i);
         put(i, solution, m.flipped);
     };
     const std::size_t n = rgb.size() / 3;
@@ -453,6 +477,15 @@ public:
             out[i + 1] = (2 * o * nm[0] + nm[1]) * u;
             out[i + 2] = (nm[0] * o + nm[1]) * o + nm[2];
         }
+    }
+    std::vector<std::size_t> unreached(std::span<const double> rgb) const override {
+        std::vector<std::size_t> out;
+        if (from_table_ || info().exact) return out;
+        coefficients({}, {});  // makes the solver
+        std::vector<double> c(rgb.size());
+        solver_->solve(rgb, c, nullptr, &out);
+        std::sort(out.begin(), out.end());
+        return out;
     }
     /// Of colours below some 1e-4 the coefficients, of the order of 1000 / sqrt(z), are no halves, and cut off one by one they
     /// are those of any colour. Scaled, they are the darkest of their chromaticity; black may be nearer still.

@@ -39,7 +39,9 @@ public:
     /// Coefficients of n colours.
     /// @param rgb  [n][3] linear; clamped to [0,1], NaN to 0.
     /// @param out  [n][3] c0, c1, c2; at most 2^100 in magnitude.
-    void solve(std::span<const double> rgb, std::span<double> out, Counts* counts = nullptr) const;
+    /// @param nearest  indices of the colours for which none was found.
+    void solve(std::span<const double> rgb, std::span<double> out, Counts* counts = nullptr,
+               std::vector<std::size_t>* nearest = nullptr) const;
 
     /// The same for one colour without the table and the vector kernel. `reached`: A r = rgb to 1e-12 of the largest
     /// component of rgb, or of 1 - rgb for light colours.
@@ -67,7 +69,8 @@ private:
     Vector3 from_grey(const Vector3& q) const;
     bool newton(const Vector3& q, Vector3& c) const;
     bool newton_or_nearest(const Mirrored& m, const Vector3& start, Vector3& c) const;
-    void nearest(const Vector3& rgb, Vector3& c) const;
+    Vector3 towards(const Vector3& q) const;
+    double nearest(const Vector3& rgb, Vector3& c) const;
     void residual(const Vector3& c, Vector3& f, Matrix3& jacobian) const;
     void tabulate(std::size_t resolution);
 

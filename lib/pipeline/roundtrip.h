@@ -25,7 +25,8 @@ struct Scratch {
 struct Counts {
     std::uint64_t nonfinite = 0, out_of_gamut = 0;
     std::size_t first_nonfinite = std::numeric_limits<std::size_t>::max();  ///< index within the strip
-    std::uint64_t transparent = 0;
+    std::uint64_t transparent = 0, unreached = 0;
+    std::size_t first_unreached = std::numeric_limits<std::size_t>::max();  ///< index within the strip
     BoundedStore::Outcome bounded;
 };
 
@@ -52,7 +53,7 @@ public:
 private:
     std::mutex mutex_;
     std::uint64_t nonfinite_ = 0, out_of_gamut_ = 0, first_ = std::numeric_limits<std::uint64_t>::max();
-    std::uint64_t transparent_ = 0;
+    std::uint64_t transparent_ = 0, unreached_ = 0, first_unreached_ = std::numeric_limits<std::uint64_t>::max();
     BoundedStore::Outcome bounded_;
 };
 

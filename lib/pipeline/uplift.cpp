@@ -207,6 +207,14 @@ Status UpliftSetup::convert(const RawStrip& raw, int y, std::size_t begin, std::
     const std::array<float*, 3> rgb{scratch.rgb[0].data(), scratch.rgb[1].data(), scratch.rgb[2].data()};
     const auto report = source->report();
     if (auto s = map_colors(rgb, n, gamut, model->colorimetry(), {report.path, y, begin, report.width}, counts); !s) return s;
+    if (model->info().pieces == Pieces::nonlinear && !model->info().exact) {
+        std::vector<double> colors(3 * n);
+        for (std::size_t p = 0; p < n; ++p)
+            for (std::size_t c = 0; c < 3; ++c) colors[3 * p + c] = rgb[c][p];
+        const auto unreached = model->unreached(colors);
+        counts.unreached += unreached.size();
+        if (!unreached.empty()) counts.first_unreached = std::min(counts.first_unreached, begin + unreached.front());
+    }
     if (!bounded) {
         plan.store({rgb[0], rgb[1], rgb[2]}, n, planes);
         return {};
@@ -299,6 +307,9 @@ void CountTotals::add(const Counts& counts, int strip_y, int width) {
     out_of_gamut_ += counts.out_of_gamut;
     bounded_.add(counts.bounded);
     transparent_ += counts.transparent;
+    unreached_ += counts.unreached;
+    if (counts.first_unreached != std::numeric_limits<std::size_t>::max())
+        first_unreached_ = std::min(first_unreached_, static_cast<std::uint64_t>(strip_y) * static_cast<std::uint64_t>(width) + counts.first_unreached);
     if (counts.first_nonfinite != std::numeric_limits<std::size_t>::max())
         first_ = std::min(first_, static_cast<std::uint64_t>(strip_y) * static_cast<std::uint64_t>(width) + counts.first_nonfinite);
 }
@@ -306,6 +317,11 @@ void CountTotals::add(const Counts& counts, int strip_y, int width) {
 void CountTotals::put_into(InputReport& report) const {
     report.nonfinite = nonfinite_;
     report.out_of_gamut = out_of_gamut_;
+    report.unreached = unreached_;
+    if (unreached_ > 0) {
+        const auto width = static_cast<std::uint64_t>(report.width);
+        report.first_unreached = {static_cast<std::int64_t>(first_unreached_ % width), static_cast<std::int64_t>(first_unreached_ / width)};
+    }
     if (nonfinite_ > 0) {
         const auto width = static_cast<std::uint64_t>(report.width);
         report.first_nonfinite = {static_cast<std::int64_t>(first_ % width), static_cast<std::int64_t>(first_ / width)};

@@ -112,3 +112,34 @@ def test_refuses(tmp_path, run):
     assert "bad.csv" in outcome.stderr and "row 2" in outcome.stderr
     outcome = run("spxbench", "smoothness", "--methods", "mallett2019", "--lines", "0", "-o", tmp_path / "none" / "deeper", check=2)
     assert "deeper" in outcome.stderr
+
+
+def test_stability(tmp_path, run):
+    csv = tmp_path / "stability.csv"
+    out = run("spxbench", "stability", "--groups", "sums", "--colors", "1000", "--stride", "65536", "--bands", "380:780:20", "--csv", csv, "--json",
+              tmp_path / "stability.json", check=0).stdout
+    figures = json.loads((tmp_path / "stability.json").read_text())
+    assert figures["what"] == "stability" and figures["failures"] == 0
+    rows = table(out)
+    assert len(rows) - 1 == len(figures["rows"]) == len(csv.read_text().splitlines()) - 1
+    assert all(r[-1] == "yes" for r in rows[1:])
+    for row in figures["rows"]:
+        assert row["group"] == "sums" and row["kept"] and row["broken"] == 0 and row["cases"] > 0 and row["reason"]
+        assert row["worst"] <= row["bound"]
+    run("spxbench", "stability", "--groups", "sums,colors", check=64)
+    run("spxbench", "stability", "--methods", "none", check=64)
+
+
+def test_colours_without_a_spectrum_are_counted(tmp_path, run):
+    path = picture(tmp_path / "codes.ppm")
+    made = [run("spxuplift", path, "-o", tmp_path / "made.exr", "--method", "jakob2019", "--bands", "380:780:20", "--store", "spectral", "--rgb-space", space,
+                "--input-colorspace", f"Linear {space}", "--check", "--json", "-", check=0) for space in ("Rec.709", "Rec.2020")]
+    inside, wide = (m.json() for m in made)
+    # Half bands cost 0.02.
+    assert inside["unreached"] == 0 and inside["roundtrip"]["max"] < 0.1
+    assert 0 < wide["unreached"] < 48 * 48
+    x, y = wide["first_unreached"]
+    assert 0 <= x < 48 and 0 <= y < 48
+    assert f"{wide['unreached']} pixels have no spectrum of this method, the first at {x},{y}" in made[1].stderr
+    # Off by what the colour solid lacks, and not into white or black.
+    assert 0.1 < wide["roundtrip"]["max"] < 60

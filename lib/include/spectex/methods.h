@@ -61,6 +61,9 @@ public:
     virtual void coefficients(std::span<const double> rgb, std::span<double> out) const {
         std::copy(rgb.begin(), rgb.end(), out.begin());
     }
+    /// Indices of the colours for which the method finds no spectrum and takes the nearest one. A method that has a spectrum
+    /// for each, as where info().exact, and one that is not exact by design, names none.
+    virtual std::vector<std::size_t> unreached([[maybe_unused]] std::span<const double> rgb) const { return {}; }
     /// Draws coefficients to those nearest in colour whose magnitude a file's type holds.
     /// @param coefficients  [n][info().coefficients]. @param most  largest finite number of that type.
     virtual void limit_coefficients([[maybe_unused]] std::span<double> coefficients, [[maybe_unused]] double most) const {}

@@ -46,6 +46,8 @@ struct InputReport {
     std::string colorspace, colorspace_reason;
     std::uint64_t nonfinite = 0, out_of_gamut = 0;
     std::array<std::int64_t, 2> first_nonfinite{-1, -1};
+    std::uint64_t unreached = 0;  ///< uplifted pixels for which the method found no spectrum and took the nearest one
+    std::array<std::int64_t, 2> first_unreached{-1, -1};
 };
 
 /// How colours are uplifted and kept; what spxuplift and spxdiff --roundtrip share.
