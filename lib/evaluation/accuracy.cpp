@@ -1,10 +1,10 @@
 #include <fmt/format.h>
-#include <tbb/parallel_for.h>
 
 #include <algorithm>
 #include <cmath>
 #include <set>
 
+#include "parallel.h"
 #include "spectex/evaluation.h"
 #include "spectral/numeric.h"
 
@@ -41,7 +41,7 @@ Result<Samples> inside_cube(const SampleSet& set, const Colorimetry& colorimetry
 std::vector<Vector3> labs(std::span<const double> spectra, std::size_t bands, std::span<const TristimulusWeights> lamps) {
     const std::size_t n = spectra.size() / bands;
     std::vector<Vector3> out(n * lamps.size());
-    tbb::parallel_for(std::size_t{0}, n, [&](std::size_t s) {
+    parallel_for(std::size_t{0}, n, [&](std::size_t s) {
         const double* r = &spectra[s * bands];
         for (std::size_t k = 0; k < lamps.size(); ++k) {
             Vector3 xyz{};
@@ -102,7 +102,7 @@ Result<AccuracyReport> measure_accuracy(const Colorimetry& colorimetry, const Ac
             (*model)->reflectance(c.samples.rgb, predicted);
             const auto lab = labs(predicted, bands, lamps);
             std::vector<double> differences(lab.size());
-            tbb::parallel_for(std::size_t{0}, c.samples.count, [&](std::size_t s) {
+            parallel_for(std::size_t{0}, c.samples.count, [&](std::size_t s) {
                 for (std::size_t k = 0; k < lamps.size(); ++k)
                     differences[s * lamps.size() + k] = delta_e2000(c.lab[s * lamps.size() + k], lab[s * lamps.size() + k]);
             });

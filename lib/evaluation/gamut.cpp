@@ -1,9 +1,9 @@
 #include <fmt/format.h>
-#include <tbb/parallel_for.h>
 #include <tbb/task_arena.h>
 
 #include <cmath>
 
+#include "parallel.h"
 #include "spectex/color.h"
 #include "spectex/evaluation.h"
 
@@ -263,7 +263,7 @@ Result<GamutRendering> render_gamut(const Colorimetry& colorimetry, const GamutR
     tbb::task_arena arena(options.threads > 0 ? options.threads : tbb::task_arena::automatic);
     for (int first = 0; first < width; first += rows_at_once) {
         const int count = std::min(rows_at_once, width - first);
-        arena.execute([&] { tbb::parallel_for(0, count, [&](int i) { render(rows[static_cast<std::size_t>(i)], first + i); }); });
+        arena.execute([&] { parallel_for(0, count, [&](int i) { render(rows[static_cast<std::size_t>(i)], first + i); }); });
         for (int i = 0; i < count; ++i) {
             const Row& row = rows[static_cast<std::size_t>(i)];
             const auto y = static_cast<std::size_t>(first + i);

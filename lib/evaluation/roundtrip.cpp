@@ -1,9 +1,9 @@
-#include <tbb/parallel_for.h>
 #include <tbb/task_arena.h>
 
 #include <chrono>
 #include <cmath>
 
+#include "parallel.h"
 #include "spectex/color.h"
 #include "spectex/evaluation.h"
 #include "spectex/io.h"
@@ -60,7 +60,7 @@ Result<RoundTripReport> measure_roundtrip(std::shared_ptr<const Model> model, St
     for (std::size_t first = 0; first < rows; first += rows_at_once) {
         const std::size_t count = std::min(rows_at_once, rows - first);
         const auto each = [&](const auto& body) {
-            arena.execute([&] { tbb::parallel_for(std::size_t{0}, count, [&](std::size_t i) { body(work[i], first + i); }); });
+            arena.execute([&] { parallel_for(std::size_t{0}, count, [&](std::size_t i) { body(work[i], first + i); }); });
         };
         each([&](Row& w, std::size_t y) {
             w.count = static_cast<std::size_t>(std::min<std::uint64_t>(row, report.pixels - y * row));

@@ -1,12 +1,12 @@
 #include "evaluation/stability.h"
 
 #include <fmt/format.h>
-#include <tbb/parallel_for.h>
 #include <tbb/task_arena.h>
 
 #include <algorithm>
 #include <mutex>
 
+#include "parallel.h"
 #include "spectex/color.h"
 #include "spectex/methods.h"
 
@@ -44,7 +44,7 @@ void Tally::merge(const Tally& other) {
 Tally measure(std::uint64_t count, std::uint64_t part, const std::function<void(std::uint64_t, std::uint64_t, Tally&)>& body) {
     Tally all;
     std::mutex mutex;
-    tbb::parallel_for(std::uint64_t{0}, (count + part - 1) / part, [&](std::uint64_t p) {
+    parallel_for(std::uint64_t{0}, (count + part - 1) / part, [&](std::uint64_t p) {
         Tally mine;
         body(p * part, std::min(count, (p + 1) * part), mine);
         const std::lock_guard lock(mutex);

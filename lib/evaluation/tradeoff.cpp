@@ -1,7 +1,6 @@
 // Run time and error of whole files, kept with a method and a store.
 #include <fmt/format.h>
 #include <hwy/targets.h>
-#include <tbb/parallel_for.h>
 #include <tbb/task_arena.h>
 #include <unistd.h>
 
@@ -12,6 +11,7 @@
 #include <fstream>
 
 #include "kernels/convert.h"
+#include "parallel.h"
 #include "pipeline/source.h"
 #include "spectex/color.h"
 #include "spectex/evaluation.h"
@@ -188,7 +188,7 @@ std::array<double, 2> time_kernels(const StorePlan& plan, const std::array<std::
     // What the timing writes stays in the caches, as in the pipeline, whose strips are sized to them.
     const auto run = [&](bool reproject) {
         arena.execute([&] {
-            tbb::parallel_for(std::size_t{0}, blocks, [&](std::size_t b) {
+            parallel_for(std::size_t{0}, blocks, [&](std::size_t b) {
                 thread_local std::array<std::vector<float>, 3> out;
                 const std::size_t begin = b * block, count = std::min(block, n - begin);
                 Stored stored(plan, count);
@@ -331,7 +331,7 @@ Status write_test_texture(const std::string& path, int width, int height) {
     std::vector<std::byte> strip(static_cast<std::size_t>(rows) * static_cast<std::size_t>(width) * 3);
     for (int y = 0; y < height; y += rows) {
         const int n = std::min(rows, height - y);
-        tbb::parallel_for(0, n, [&](int row) {
+        parallel_for(0, n, [&](int row) {
             std::byte* out = strip.data() + static_cast<std::size_t>(row) * static_cast<std::size_t>(width) * 3;
             for (int x = 0; x < width; ++x)
                 for (std::uint32_t c = 0; c < 3; ++c) {

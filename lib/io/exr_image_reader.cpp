@@ -18,11 +18,10 @@
 #include <limits>
 #include <set>
 
-#include <tbb/parallel_for.h>
-
 #include "io/exr_input.h"
 #include "io/exr_zip.h"
 #include "kernels/convert.h"
+#include "parallel.h"
 
 namespace spectex::io {
 namespace {
@@ -112,6 +111,7 @@ int rows_per_call(int block, int height) {
 Result<std::unique_ptr<ExrInput>> ExrInput::open(const std::string& path, int threads) {
     using Out = Result<std::unique_ptr<ExrInput>>;
     return guarded(ErrorKind::input, path, [&]() -> Out {
+        if (auto ok = check_exr_header(path); !ok) return ok.error();
         const int count = prepare_threads(threads);
         auto self = std::make_unique<ExrInput>();
         self->path_ = path;
@@ -296,7 +296,7 @@ bool ExrInput::read_zip(int index, ZipPart& zip, const Imf::FrameBuffer& frame, 
         }
     };
     if (parallel_ && chunks.size() > 1)
-        tbb::parallel_for(std::size_t{0}, chunks.size(), unpack);
+        parallel_for(std::size_t{0}, chunks.size(), unpack);
     else
         for (std::size_t i = 0; i < chunks.size(); ++i) unpack(i);
     if (!good) return false;

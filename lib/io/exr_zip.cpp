@@ -1,10 +1,10 @@
 #include "io/exr_zip.h"
 
-#include <tbb/parallel_for.h>
 
 #include <bit>
 
 #include "io/deflate.h"
+#include "parallel.h"
 
 namespace spectex::io {
 namespace {
@@ -42,7 +42,7 @@ void split(const std::byte* in, std::size_t n, std::uint8_t* even, std::uint8_t*
 template <class Body>
 void for_each(std::size_t n, bool parallel, const Body& body) {
     if (parallel && n > 1)
-        tbb::parallel_for(std::size_t{0}, n, body);
+        parallel_for(std::size_t{0}, n, body);
     else
         for (std::size_t i = 0; i < n; ++i) body(i);
 }

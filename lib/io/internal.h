@@ -1,10 +1,12 @@
 // What the files of this room share.
 #pragma once
 
+#include <array>
 #include <cerrno>
 #include <cstring>
 #include <exception>
 #include <new>
+#include <stdexcept>
 #include <string>
 #include <string_view>
 #include <vector>
@@ -30,6 +32,8 @@ auto guarded(ErrorKind kind, const std::string& path, Body&& body) -> decltype(b
         return body();
     } catch (const std::bad_alloc&) {
         return Error{kind, fmt::format("{}: not enough memory", path)};
+    } catch (const std::length_error&) {
+        return Error{kind, fmt::format("{}: declares more than any memory holds", path)};
     } catch (const std::exception& e) {
         std::string_view what = e.what();
         // The message may bear the path already.
@@ -53,6 +57,18 @@ Result<bool> is_exr(const std::string& path);
 
 /// Whether a file can be opened as a regular, non-empty one; says why not.
 Status check_readable(const std::string& path);
+
+/// A file as it was when this was made: half of one content and half of another must not pass for a picture.
+class FileMark {
+public:
+    explicit FileMark(std::string path);
+    /// @error input, when the name now stands for another file, for other content, or for none.
+    Status check() const;
+
+private:
+    std::string path_;
+    std::array<std::int64_t, 5> state_{};
+};
 
 /// Sizes against limits. @param sample_bytes  of one pixel over all channels.
 Status check_limits(const std::string& path, const Limits& limits, std::int64_t width, std::int64_t height,
@@ -78,8 +94,12 @@ struct FileFacts {
     std::optional<std::array<double, 8>> chromaticities;
     bool streams = true;  ///< OpenImageIO decodes it by rows rather than as a whole
 };
-/// @error input: unreadable.
+/// @error input: unreadable; a PNG whose header is none, or with a chunk that is longer than the file: the library of PNG would
+/// take memory for it first.
 Result<FileFacts> read_file_facts(const std::string& path);
+/// The same for OpenEXR, whose library takes memory for an attribute of any declared size.
+/// @error input.
+Status check_exr_header(const std::string& path);
 
 Result<std::unique_ptr<ImageReader>> open_exr_image(const std::string& path, int threads, const Limits& limits);
 

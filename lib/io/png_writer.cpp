@@ -1,6 +1,5 @@
 #include <OpenImageIO/filesystem.h>
 #include <isa-l/crc.h>
-#include <tbb/parallel_for.h>
 
 #include <algorithm>
 #include <array>
@@ -9,6 +8,7 @@
 #include "io/deflate.h"
 #include "io/exr_stream.h"
 #include "io/png.h"
+#include "parallel.h"
 
 namespace spectex::io {
 namespace {
@@ -128,7 +128,7 @@ private:
             encode_segment(first, rows, first_row + first == 0, first_row + first + rows == height_, segments[static_cast<std::size_t>(i)]);
         };
         if (parallel_ && count > 1)
-            tbb::parallel_for(0, count, work);
+            parallel_for(0, count, work);
         else
             for (int i = 0; i < count; ++i) work(i);
         for (int i = 0; i < count; ++i) {

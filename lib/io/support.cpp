@@ -94,6 +94,24 @@ Status check_readable(const std::string& path) {
     return {};
 }
 
+namespace {
+
+/// Device, inode, size, time of change; all zero where there is no file.
+std::array<std::int64_t, 5> state_of(const std::string& path) {
+    struct stat s {};
+    if (::stat(path.c_str(), &s) != 0) return {};
+    return {static_cast<std::int64_t>(s.st_dev), static_cast<std::int64_t>(s.st_ino), s.st_size, s.st_mtim.tv_sec, s.st_mtim.tv_nsec};
+}
+
+}  // namespace
+
+FileMark::FileMark(std::string path) : path_(std::move(path)), state_(state_of(path_)) {}
+
+Status FileMark::check() const {
+    if (state_of(path_) == state_) return {};
+    return input_error(path_, "changed while it was read");
+}
+
 Result<bool> is_exr(const std::string& path) {
     if (auto ok = check_readable(path); !ok) return ok.error();
     const int fd = ::open(path.c_str(), O_RDONLY | O_CLOEXEC);

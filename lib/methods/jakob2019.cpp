@@ -9,7 +9,6 @@
 #include "methods/jakob2019.h"
 
 #include <fmt/format.h>
-#include <tbb/parallel_for.h>
 #include <tbb/task_arena.h>
 
 #include <algorithm>
@@ -17,6 +16,7 @@
 #include <mutex>
 
 #include "methods/registry.h"
+#include "parallel.h"
 #include "spectex/coefficient_table.h"
 
 namespace spectex::jakob2019 {
@@ -301,7 +301,7 @@ Vector3 Solver::guess(const Vector3& q) const {
 void Solver::tabulate(std::size_t n) {
     const auto last = static_cast<double>(n - 1);
     std::vector<float> table(4 * 3 * n * n * n);
-    tbb::parallel_for(std::size_t{0}, 3 * n, [&](std::size_t plane) {
+    parallel_for(std::size_t{0}, 3 * n, [&](std::size_t plane) {
         const std::size_t largest = plane / n, k = plane % n;
         const double w = std::max(static_cast<double>(k) / last, darkest_vertex), z = w * w;
         // Only vertices of cells that hold colours with largest + smallest component <= 1 are looked at.

@@ -1,5 +1,4 @@
 #include <fmt/format.h>
-#include <tbb/parallel_for.h>
 
 #include <algorithm>
 #include <bit>
@@ -10,6 +9,7 @@
 #include <system_error>
 
 #include "methods/jakob2019.h"
+#include "parallel.h"
 #include "spectex/coefficient_table.h"
 #include "spectex/io.h"
 
@@ -71,7 +71,7 @@ Result<CoefficientTable> make_coefficient_table(const Colorimetry& colorimetry, 
         table.scale.push_back(static_cast<float>(smoothstep(smoothstep(static_cast<double>(k) / last))));
     table.data.resize(9 * n * n * n);
     const double first_step = n > 2 ? static_cast<double>(table.scale[1]) : 1.0 / 1024;
-    tbb::parallel_for(std::size_t{0}, 3 * n * n, [&](std::size_t row) {
+    parallel_for(std::size_t{0}, 3 * n * n, [&](std::size_t row) {
         const std::size_t largest = row / (n * n), k = row / n % n, y = row % n;
         std::vector<double> rgb(3 * n), c(3 * n);
         const double z = k == 0 ? first_step / 64 : static_cast<double>(table.scale[k]);

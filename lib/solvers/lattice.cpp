@@ -3,7 +3,6 @@
 #include "solvers/lattice.h"
 
 #include <fmt/format.h>
-#include <tbb/parallel_for.h>
 
 #include <algorithm>
 #include <bit>
@@ -13,6 +12,7 @@
 #include <mutex>
 #include <nlohmann/json.hpp>
 
+#include "parallel.h"
 #include "solvers/quadratic_programme.h"
 
 namespace spectex::solvers {
@@ -81,7 +81,7 @@ Status for_all_vertices(std::size_t count, const Body& body) {
     std::mutex mutex;
     std::size_t first = count;
     Error error;
-    tbb::parallel_for(std::size_t{0}, count, [&](std::size_t v) {
+    parallel_for(std::size_t{0}, count, [&](std::size_t v) {
         if (Status done = body(v); !done) {
             const std::lock_guard lock(mutex);
             if (v < first) first = v, error = done.error();
