@@ -1,5 +1,6 @@
 #include "app.h"
 
+#include <fcntl.h>
 #include <fmt/format.h>
 #include <signal.h>
 #include <unistd.h>
@@ -33,7 +34,9 @@ extern "C" void on_signal(int signal) {
 
 /// SIGPIPE is among them: `spxinfo FILE | head` ends as quietly as cat does, and leaves no temporary file.
 void install_signal_handlers() {
-    for (const int signal : {SIGINT, SIGTERM, SIGHUP, SIGPIPE}) {
+    // A file beyond `ulimit -f` is then an output that failed, with its name, rather than the end of the process.
+    ::signal(SIGXFSZ, SIG_IGN);
+    for (const int signal : {SIGINT, SIGTERM, SIGHUP, SIGPIPE, SIGQUIT, SIGXCPU}) {
         struct sigaction old{};
         // What the parent ignored (nohup) stays ignored.
         if (::sigaction(signal, nullptr, &old) != 0 || old.sa_handler == SIG_IGN) continue;
@@ -42,6 +45,13 @@ void install_signal_handlers() {
         ::sigemptyset(&action.sa_mask);
         ::sigaction(signal, &action, nullptr);
     }
+}
+
+/// Of standard input, output and error, those that the caller has closed: else the next file that is opened takes their number,
+/// and reports would be written into a picture. What takes their place fails as a closed one does.
+void hold_standard_descriptors() {
+    for (int fd = 0; fd <= 2; ++fd)
+        if (::fcntl(fd, F_GETFD) == -1 && errno == EBADF && ::open("/dev/null", fd == 0 ? O_WRONLY : O_RDONLY) != fd) ::_exit(exit_failure);
 }
 
 bool write_text(std::FILE* file, std::string_view text) {
@@ -391,6 +401,7 @@ std::optional<int> App::parse(int argc, char** argv) {
 }
 
 int App::main(int argc, char** argv, const std::function<int()>& body) {
+    hold_standard_descriptors();
     install_signal_handlers();
     try {
         if (const auto code = parse(argc, argv)) return *code;

@@ -118,10 +118,13 @@ Result<std::vector<std::string>> corpus_of(const GridRequest& request, const Scr
 Result<std::map<std::string, Json>> read_baseline(const std::string& path, std::string_view what) {
     std::map<std::string, Json> rows;
     if (path.empty()) return rows;
-    std::ifstream file(path, std::ios::binary);
-    if (!file) return Error{ErrorKind::input, fmt::format("{}: cannot be read", path)};
+    std::error_code failed;
+    std::ifstream file;
+    // A named pipe would be waited for.
+    if (std::filesystem::is_regular_file(path, failed)) file.open(path, std::ios::binary);
+    if (!file.is_open()) return Error{ErrorKind::input, fmt::format("{}: cannot be read", path)};
     const auto json = Json::parse(file, nullptr, false);
-    if (!json.is_object() || json.value("what", "") != what || !json.contains("rows") || !json["rows"].is_array())
+    if (!json.is_object() || !json.contains("what") || json["what"] != what || !json.contains("rows") || !json["rows"].is_array())
         return Error{ErrorKind::input, fmt::format("{}: expected the JSON of an earlier spxbench {}", path, what)};
     for (const auto& row : json["rows"])
         if (row.is_object() && row.contains("key") && row["key"].is_string()) rows[row["key"].get<std::string>()] = row;

@@ -75,7 +75,8 @@ Lock& Lock::operator=(Lock&& other) noexcept {
 
 Result<Lock> Lock::take(const std::string& path, bool shared, const std::string& destination) {
     Lock lock;
-    lock.fd_ = ::open(path.c_str(), O_RDWR | O_CREAT | O_CLOEXEC, 0666);
+    // A link here would create or lock a file of somebody else's choice.
+    lock.fd_ = ::open(path.c_str(), O_RDWR | O_CREAT | O_NOFOLLOW | O_CLOEXEC, 0666);
     if (lock.fd_ < 0) return io::output_error(path, io::errno_text(errno));
     if (::flock(lock.fd_, (shared ? LOCK_SH : LOCK_EX) | LOCK_NB) != 0) {
         if (errno == EWOULDBLOCK)
@@ -165,9 +166,16 @@ Result<Manifest> Manifest::open(const std::string& path, bool write) {
     state->path = path;
     if (!write && !stamp_of(path)) return Manifest(std::move(state));
     // A journal that an interrupted run left is rolled back by whoever opens next, which takes the right to write.
-    const int flags = SQLITE_OPEN_READWRITE | (write ? SQLITE_OPEN_CREATE : 0);
+    const int flags = SQLITE_OPEN_READWRITE | SQLITE_OPEN_NOFOLLOW | (write ? SQLITE_OPEN_CREATE : 0);
     if (sqlite3_open_v2(path.c_str(), &state->db, flags, nullptr) != SQLITE_OK) return state->failure("cannot open the manifest");
     sqlite3_busy_timeout(state->db, 5000);
+    // A destination may come from anywhere: its schema runs nothing, and no value is larger than any of ours.
+    sqlite3_db_config(state->db, SQLITE_DBCONFIG_DEFENSIVE, 1, nullptr);
+    sqlite3_db_config(state->db, SQLITE_DBCONFIG_TRUSTED_SCHEMA, 0, nullptr);
+    sqlite3_db_config(state->db, SQLITE_DBCONFIG_ENABLE_TRIGGER, 0, nullptr);
+    sqlite3_db_config(state->db, SQLITE_DBCONFIG_ENABLE_VIEW, 0, nullptr);
+    sqlite3_limit(state->db, SQLITE_LIMIT_LENGTH, 1 << 20);
+    sqlite3_exec(state->db, "PRAGMA cell_size_check = ON", nullptr, nullptr, nullptr);
     int version = -1;
     const auto read_int = [](void* out, int, char** values, char**) {
         *static_cast<int*>(out) = std::atoi(values[0]);

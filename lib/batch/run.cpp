@@ -309,7 +309,8 @@ private:
             item.changed_row = item.changed_row || !item.before || item.before->use != row.use || !item.before->use_by_option;
             return true;
         }
-        if (same_content && !item.before->use_by_option && item.before->classifier == version() && !item.before->use.empty()) {
+        if (same_content && !item.before->use_by_option && item.before->classifier == version() &&
+            (item.before->use == "spectral" || parse_texture_use(item.before->use))) {
             row.use = item.before->use;
             row.use_reason = item.before->use_reason;
             row.classifier = item.before->classifier;

@@ -1,11 +1,17 @@
 // Temporary files beside their destinations, and the registry that a signal handler can clear.
+#include <dirent.h>
 #include <fcntl.h>
+#include <signal.h>
+#include <sys/file.h>
 #include <sys/stat.h>
 #include <unistd.h>
 
 #include <atomic>
+#include <charconv>
 #include <climits>
 #include <cstdlib>
+#include <map>
+#include <mutex>
 
 #include "io/internal.h"
 
@@ -20,6 +26,7 @@ using io::output_error;
 struct Slot {
     std::atomic<int> state{0};
     pid_t process = 0;
+    int lock = -1;  ///< an open file whose lock says that this one is being written
     char path[PATH_MAX];
 };
 enum { slot_free = 0, slot_changing = 1, slot_live = 2 };
@@ -40,7 +47,10 @@ int register_path(const std::string& path) {
     return -1;
 }
 
-void release(int slot) { slots[slot].state.store(slot_free); }
+void release(int slot) {
+    if (slots[slot].lock >= 0) ::close(std::exchange(slots[slot].lock, -1));
+    slots[slot].state.store(slot_free);
+}
 
 std::string folder_of(const std::string& path) {
     const auto slash = path.find_last_of('/');
@@ -62,6 +72,45 @@ Result<std::string> follow_links(const std::string& destination) {
         path = !to.empty() && to.front() == '/' ? to : folder_of(path) + "/" + to;
     }
     return output_error(destination, errno_text(ELOOP));
+}
+
+/// Temporary files of processes that were killed: named after this destination, locked by nobody, their process gone. A folder
+/// is listed once for all outputs.
+void remove_leftovers(const std::string& folder, const std::string& name, const std::string& suffix) {
+    static std::mutex mutex;
+    static std::map<std::string, std::vector<std::string>, std::less<>> listed;
+    const std::lock_guard lock(mutex);
+    const auto [entry, fresh] = listed.try_emplace(folder);
+    auto& names = entry->second;
+    if (fresh) {
+        DIR* dir = ::opendir(folder.c_str());
+        if (!dir) return;
+        while (const dirent* file = ::readdir(dir)) {
+            const std::string_view found = file->d_name;
+            if (found.starts_with('.') && found.find(".tmp") != std::string_view::npos) names.emplace_back(found);
+        }
+        ::closedir(dir);
+    }
+    std::erase_if(names, [&](const std::string& found) {
+        const std::string head = "." + name + ".", tail = ".tmp" + suffix;
+        if (!found.starts_with(head) || !found.ends_with(tail) || found.size() <= head.size() + tail.size()) return false;
+        const std::string_view mark(found.data() + head.size(), found.size() - head.size() - tail.size());
+        pid_t process = 0;
+        unsigned count = 0;
+        const auto [dash, failed] = std::from_chars(mark.data(), mark.data() + mark.size(), process);
+        if (failed != std::errc() || dash == mark.data() + mark.size() || *dash != '-' || process <= 0) return false;
+        const auto [end, wrong] = std::from_chars(dash + 1, mark.data() + mark.size(), count);
+        if (wrong != std::errc() || end != mark.data() + mark.size()) return false;
+        if (::kill(process, 0) == 0 || errno != ESRCH) return false;
+        const std::string path = folder + "/" + found;
+        const int fd = ::open(path.c_str(), O_RDONLY | O_NOFOLLOW | O_NONBLOCK | O_CLOEXEC);
+        if (fd < 0) return true;
+        struct stat s {};
+        // Another machine, or another container, may be writing it.
+        if (::fstat(fd, &s) == 0 && S_ISREG(s.st_mode) && ::flock(fd, LOCK_EX | LOCK_NB) == 0) ::unlink(path.c_str());
+        ::close(fd);
+        return true;
+    });
 }
 
 // Some file systems know no fsync of folders; the rename is then as durable as they make it.
@@ -109,6 +158,8 @@ Result<OutputFile> OutputFile::create(const std::string& destination) {
         if (name.size() + 40 + suffix.size() > NAME_MAX)
             name.resize(NAME_MAX > 40 + suffix.size() ? NAME_MAX - 40 - suffix.size() : 1);
 
+        remove_leftovers(folder, name, suffix);
+
         static std::atomic<unsigned> counter{0};
         for (int attempt = 0; attempt < 1000; ++attempt) {
             const std::string temporary =
@@ -125,7 +176,9 @@ Result<OutputFile> OutputFile::create(const std::string& destination) {
                 if (code == EEXIST) continue;
                 return output_error(destination, errno_text(code));
             }
-            ::close(fd);
+            // Where a file system knows no locks, leftovers are told by their process alone.
+            (void)!::flock(fd, LOCK_EX | LOCK_NB);
+            slots[slot].lock = fd;
             OutputFile file;
             file.temporary_ = temporary;
             file.destination_ = destination;

@@ -7,6 +7,7 @@
 #include <cstring>
 #include <functional>
 
+#include "io/internal.h"
 #include "kernels/convert.h"
 #include "pipeline/difference.h"
 
@@ -33,6 +34,7 @@ void in_arena(const JobOptions& job, const Body& body) {
 }
 
 Result<MapSource> open_map(const std::string& path, const JobOptions& job) {
+    const io::FileMark mark(path);
     auto opened = ImageReader::open(path, job.threads);
     if (!opened) return std::move(opened).error();
     const std::shared_ptr<ImageReader> reader = *std::move(opened);
@@ -49,7 +51,7 @@ Result<MapSource> open_map(const std::string& path, const JobOptions& job) {
     if (const auto found = header.metadata.find("spectex:metric"); found != header.metadata.end())
         if (const auto* name = std::get_if<std::string>(&found->second))
             if (const auto metric = parse_metric(*name)) source.title = metric_title(*metric);
-    source.run = [reader, job](const TakeRows& take) -> Status {
+    source.run = [reader, mark, job](const TakeRows& take) -> Status {
         const auto& h = reader->header();
         const auto width = static_cast<std::size_t>(h.geometry.width);
         const std::size_t sample = pixel_bytes(h.type);
@@ -60,9 +62,10 @@ Result<MapSource> open_map(const std::string& path, const JobOptions& job) {
         };
         return run_strips(
             job, h.geometry.width, h.geometry.height, rows, [] { return Buffers{}; },
-            [&](Buffers& b, int y, int n) {
+            [&](Buffers& b, int y, int n) -> Status {
                 b.samples.resize(width * static_cast<std::size_t>(n) * sample);
-                return reader->read_rows(y, n, b.samples.data());
+                if (auto s = reader->read_rows(y, n, b.samples.data()); !s) return s;
+                return y + n == h.geometry.height ? mark.check() : Status();
             },
             [&](Buffers& b, int, int n) -> Status {
                 b.values.resize(width * static_cast<std::size_t>(n));

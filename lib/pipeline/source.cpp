@@ -5,6 +5,7 @@
 #include <cmath>
 #include <cstring>
 
+#include "io/internal.h"
 #include "kernels/convert.h"
 
 namespace spectex::pipeline {
@@ -70,8 +71,8 @@ private:
 
 class ImageSource final : public StripSource {
 public:
-    ImageSource(std::unique_ptr<ImageReader> reader, ColorSpaceChoice choice, std::unique_ptr<ColorTransform> transform)
-        : reader_(std::move(reader)), choice_(std::move(choice)) {
+    ImageSource(std::unique_ptr<ImageReader> reader, io::FileMark mark, ColorSpaceChoice choice, std::unique_ptr<ColorTransform> transform)
+        : reader_(std::move(reader)), mark_(std::move(mark)), choice_(std::move(choice)) {
         const auto& h = header();
         for (const int other : h.others)
             others_.push_back({other == h.alpha ? "A" : h.channels[static_cast<std::size_t>(other)], h.type});
@@ -114,7 +115,8 @@ public:
 
     Status read(int y, int rows, RawStrip& raw) override {
         raw.samples.resize(raw_bytes_per_row() * static_cast<std::size_t>(rows));
-        return reader_->read_rows(y, rows, raw.samples.data());
+        if (auto s = reader_->read_rows(y, rows, raw.samples.data()); !s) return s;
+        return y + rows == geometry().height ? mark_.check() : Status();
     }
     std::size_t planes() const override { return 3; }
     void decode(const RawStrip& raw, std::size_t begin, std::size_t n, std::vector<std::vector<float>>& scratch,
@@ -134,6 +136,7 @@ public:
 
 private:
     std::unique_ptr<ImageReader> reader_;
+    io::FileMark mark_;
     ColorSpaceChoice choice_;
     std::vector<OtherChannel> others_;
     std::unique_ptr<PixelDecoder> decoder_;
@@ -163,8 +166,8 @@ Attributes picture_attributes(const Attributes& attributes) {
 
 class SpectralStripSource final : public StripSource {
 public:
-    SpectralStripSource(std::unique_ptr<SpectralReader> reader, std::vector<bool> needed)
-        : reader_(std::move(reader)), needed_(std::move(needed)), metadata_(picture_attributes(reader_->header().attributes)) {
+    SpectralStripSource(std::unique_ptr<SpectralReader> reader, io::FileMark mark, std::vector<bool> needed)
+        : reader_(std::move(reader)), mark_(std::move(mark)), needed_(std::move(needed)), metadata_(picture_attributes(reader_->header().attributes)) {
         const auto& h = reader_->header();
         for (std::size_t i = 0; i < h.others.size(); ++i) others_.push_back({h.others[i], h.other_types[i]});
         for (const bool plane : needed_) planes_read_ += plane ? 1 : 0;
@@ -217,7 +220,8 @@ public:
             raw.others[i].resize(pixels * spectex::pixel_bytes(others_[i].type));
             others[i] = raw.others[i].data();
         }
-        return reader_->read_rows(y, rows, planes, others);
+        if (auto s = reader_->read_rows(y, rows, planes, others); !s) return s;
+        return y + rows == geometry().height ? mark_.check() : Status();
     }
     std::size_t planes() const override { return needed_.size(); }
     void decode(const RawStrip& raw, std::size_t begin, std::size_t, std::vector<std::vector<float>>&,
@@ -232,6 +236,7 @@ public:
 
 private:
     std::unique_ptr<SpectralReader> reader_;
+    io::FileMark mark_;
     std::vector<bool> needed_;
     Attributes metadata_;
     std::size_t planes_read_ = 0;
@@ -242,6 +247,7 @@ private:
 }  // namespace
 
 Result<std::unique_ptr<StripSource>> open_image_source(const std::string& path, const RgbSpace& space, const JobOptions& job) {
+    io::FileMark mark(path);
     auto reader = ImageReader::open(path, job.threads);
     if (!reader) return std::move(reader).error();
     const auto& header = (*reader)->header();
@@ -253,7 +259,7 @@ Result<std::unique_ptr<StripSource>> open_image_source(const std::string& path, 
     auto transform = ColorTransform::to_linear(*choice, header, space);
     if (!transform) return Error{transform.error().kind, fmt::format("{}: {}", path, transform.error().message)};
     return std::unique_ptr<StripSource>(
-        std::make_unique<ImageSource>(*std::move(reader), *std::move(choice), *std::move(transform)));
+        std::make_unique<ImageSource>(*std::move(reader), std::move(mark), *std::move(choice), *std::move(transform)));
 }
 
 Result<SpectralSourceInfo> spectral_source_info(const std::string& path, const JobOptions& job) {
@@ -283,9 +289,10 @@ Result<SpectralSourceInfo> spectral_source_info(const std::string& path, const J
 
 Result<std::unique_ptr<StripSource>> open_spectral_source(const std::string& path, const std::vector<bool>& needed,
                                                           const JobOptions& job) {
+    io::FileMark mark(path);
     auto reader = SpectralReader::open(path, job.threads);
     if (!reader) return std::move(reader).error();
-    return std::unique_ptr<StripSource>(std::make_unique<SpectralStripSource>(*std::move(reader), needed));
+    return std::unique_ptr<StripSource>(std::make_unique<SpectralStripSource>(*std::move(reader), std::move(mark), needed));
 }
 
 Result<LinearSource> LinearSource::open(const std::string& path, const RgbSpace& space, const std::string& observer,

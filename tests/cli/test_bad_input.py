@@ -1,16 +1,21 @@
 """Wrong files and wrong requests: the exit code, a message that helps, and nothing left behind."""
 
+import contextlib
 import hashlib
 import os
 import pathlib
+import re
 import shutil
+import sqlite3
+import subprocess
 
 import numpy as np
 import OpenImageIO as oiio
 import pytest
 
+import hostile
 import oracle
-from conftest import read_image, run_tool, write_image
+from conftest import BIN, read_image, run_tool, write_image
 
 
 def tree(folder):
@@ -236,8 +241,220 @@ def test_answer(tool, arguments, code, fragments, untouched):
     assert tree(work) == before, outcome
 
 
+def measured(tool, *arguments, cwd):
+    """Exit code, what was said, and the largest memory in MB."""
+    with open(cwd / "said", "w+b") as said:
+        process = subprocess.Popen([str(BIN / tool), *map(str, arguments)], cwd=cwd, stdin=subprocess.DEVNULL, stdout=said, stderr=said)
+        _, status, usage = os.wait4(process.pid, 0)
+        said.seek(0)
+        text = said.read().decode("utf-8", "replace")
+    os.unlink(cwd / "said")
+    return os.waitstatus_to_exitcode(status), text, usage.ru_maxrss / 1024
+
+
+# A texture of 4 x 4 takes 80 MB, most of it linked libraries. Four in work at once, and a decoder's own tables, stay below.
+MOST_MEMORY = 400
+
+
+def lay_out(files, folder):
+    folder.mkdir()
+    for name, data in files.items():
+        (folder / name).write_bytes(data if isinstance(data, bytes) else data.encode())
+    write_image(folder / "fine.png", np.full((4, 4, 3), 90, np.uint8))
+    return folder
+
+
+@pytest.mark.parametrize("tool", ["spxuplift", "spxrelight", "spxbatch", "spxinfo", "spxdiff"])
+def test_hostile_pictures(tool, tmp_path):
+    """All at once: each has its own message, none costs memory, and the good one among them is made."""
+    folder = lay_out({**hostile.PICTURES, **hostile.SPECTRA} if tool == "spxrelight" else hostile.PICTURES, tmp_path / "in")
+    (tmp_path / "out").mkdir()
+    before = tree(folder)
+    names = [n for n in before if n != "fine.png"]
+    inputs = [f"in/{n}" for n in [*names, "fine.png"]]
+    arguments = {"spxuplift": [*inputs, "-o", "out"], "spxrelight": [*inputs, "-i", "A", "-o", "out"], "spxinfo": inputs,
+                 "spxdiff": ["--roundtrip", *inputs], "spxbatch": ["in", "out"]}[tool]
+    code, text, memory = measured(tool, *arguments, cwd=tmp_path)
+    assert code == 2, text
+    assert tree(folder) == before
+    lines = [line for line in text.splitlines() if line.startswith(tool + ": ")]
+    # A header alone may be fine; its pixels are not.
+    silent = [n for n in names if not any(n in line for line in lines)]
+    assert not silent or tool == "spxinfo", silent
+    assert len(silent) < 30
+    # Neither a library's internals nor a forged line.
+    assert not any(word in text for word in ("std::", "vector::", "basic_string", "unexpected")), text
+    if tool in ("spxuplift", "spxrelight", "spxbatch"):
+        assert [p.name for p in (tmp_path / "out").iterdir() if p.name != ".spxbatch"] == ["fine.exr" if tool != "spxrelight" else "fine_A.exr"]
+    assert memory < MOST_MEMORY
+
+
+def test_hostile_lights(tmp_path):
+    folder = lay_out(hostile.LAMPS, tmp_path / "in")
+    before = tree(folder)
+    for name in hostile.LAMPS:
+        code, text, memory = measured("spxrelight", "fine.png", "-i", name, "-o", "x.png", cwd=folder)
+        assert code == 2 and name in text and memory < MOST_MEMORY, (name, code, text)
+        assert "root:" not in text and "unexpected" not in text
+    assert tree(folder) == before
+
+
+def test_hostile_scenes(tmp_path):
+    folder = lay_out({**hostile.SCENES, "cycle_b.pbrt": 'Include "cycle.pbrt"\n'}, tmp_path / "in")
+    before = tree(folder)
+    for name in hostile.SCENES:
+        code, text, memory = measured("spxbatch", ".", "../dst", "--scene", name, "--dry-run", cwd=folder)
+        assert (code == 2 or name.startswith("laughs")) and memory < MOST_MEMORY, (name, code, text)
+        assert name in text or code == 0
+    assert tree(folder) == before and not (tmp_path / "dst").exists()
+
+
+def test_scenes_reach_nothing_outside(tmp_path):
+    """Textures of a scene that lie elsewhere are named, and neither converted nor written; a rewritten scene stays beside its name."""
+    scene, secret = tmp_path / "scene", tmp_path / "secret"
+    for folder in (scene, secret):
+        folder.mkdir()
+        write_image(folder / "a.png", np.full((4, 4, 3), 90, np.uint8))
+    lines = [f'Texture "{i}" "spectrum" "imagemap" "string filename" "{path}"\nMaterial "diffuse" "texture reflectance" "{i}"'
+             for i, path in enumerate(["a.png", "../secret/a.png", str(secret / "a.png"), "link.png", "/etc/passwd", "../../../../etc/passwd"])]
+    (scene / "link.png").symlink_to(secret / "a.png")
+    (scene / "up.pbrt").write_text('Texture "u" "spectrum" "imagemap" "string filename" "a.png"\nMaterial "diffuse" "texture reflectance" "u"\n')
+    (scene / "s.pbrt").write_text("\n".join(lines) + '\nInclude "./sub/../up.pbrt"\n')
+    (scene / "sub").mkdir()
+    before = {str(f): tree(f) for f in (scene, secret)}
+    (tmp_path / "out").mkdir()
+    outcome = run_tool("spxbatch", scene, tmp_path / "dst", "--scene", scene / "s.pbrt", "--rewrite-scene", tmp_path / "out" / "s.pbrt", check=0)
+    assert "lies outside" in outcome.stderr
+    assert {str(f): tree(f) for f in (scene, secret)} == before
+    assert sorted(n for n in tree(tmp_path / "dst") if ".spxbatch" not in n) == ["a.exr"]
+    assert sorted(os.listdir(tmp_path / "out")) == ["s.pbrt", "s.up.pbrt"]
+
+
+def hostile_manifest(path, statements, rows=()):
+    with contextlib.closing(sqlite3.connect(path)) as database:
+        database.executescript(
+            "CREATE TABLE files (path BLOB PRIMARY KEY, size INT, mtime_ns INT, content TEXT, status TEXT, use TEXT, use_reason TEXT, "
+            "use_by_option INT, classifier TEXT, input_type INT, width INT, height INT, settings TEXT, gamut INT, out_of_gamut INT, "
+            "nonfinite INT, output BLOB, output_size INT, output_mtime_ns INT, output_hash TEXT, measured_pixels INT, changed_codes INT, "
+            "mean REAL, p99 REAL, max REAL, seconds REAL) WITHOUT ROWID; CREATE TABLE orphans (output BLOB PRIMARY KEY, hash BLOB) "
+            "WITHOUT ROWID; PRAGMA user_version = 1;" + statements)
+
+
+VIEW = ("DROP TABLE files; CREATE VIEW files AS WITH RECURSIVE c(n) AS (SELECT 1 UNION ALL SELECT n + 1 FROM c) SELECT " +
+        ", ".join(f"n AS {name}" for name in "path size mtime_ns content status use use_reason use_by_option classifier input_type width height "
+                  "settings gamut out_of_gamut nonfinite output output_size output_mtime_ns output_hash measured_pixels changed_codes mean p99 "
+                  "max seconds".split()) + " FROM c;")
+MANIFESTS = {
+    "endless": (VIEW, 2),
+    "trigger": ("CREATE TRIGGER t AFTER INSERT ON files BEGIN DELETE FROM files; END;", 0),
+    "outside": ("INSERT INTO files (path, output, output_hash, status, content) VALUES ('gone.png', '../keep.txt', '{hash}', 'converted', '00');"
+                "INSERT INTO orphans VALUES ('../keep.txt', '{hash}'), ('{keep}', '{hash}');", 0),
+    "types": ("INSERT INTO files (path, size, use, input_type, width, mean) VALUES (x'00ff', 'text', 'no such use', 99999, -5, 'NaN');", 0),
+    "columns": ("DROP TABLE files; CREATE TABLE files (path);", 2),
+}
+
+
+@pytest.mark.parametrize("name", sorted(MANIFESTS))
+def test_hostile_manifests(name, tmp_path):
+    statements, expected = MANIFESTS[name]
+    (tmp_path / "dst" / ".spxbatch").mkdir(parents=True)
+    (tmp_path / "src").mkdir()
+    write_image(tmp_path / "src" / "a.png", np.full((4, 4, 3), 90, np.uint8))
+    keep = tmp_path / "keep.txt"
+    keep.write_text("not to be removed")
+    hostile_manifest(tmp_path / "dst" / ".spxbatch" / "manifest.sqlite",
+                     statements.format(keep=keep, hash="00000000000000000000000000000000") if "{" in statements else statements)
+    for arguments in (["src", "dst"], ["src", "dst", "--prune", "--yes"], ["src", "dst", "--verify"])[:3 if name == "outside" else 1]:
+        outcome = run_tool("spxbatch", *arguments, cwd=tmp_path, timeout=30)
+        assert outcome.code == expected or (outcome.code == 2 and name == "outside" and "--verify" in arguments), outcome
+        assert "unexpected" not in outcome.stderr
+        assert keep.read_text() == "not to be removed"
+    if expected == 0:
+        assert (tmp_path / "dst" / "a.exr").exists()
+
+
+def test_manifest_that_is_a_link(tmp_path):
+    (tmp_path / "dst" / ".spxbatch").mkdir(parents=True)
+    (tmp_path / "src").mkdir()
+    write_image(tmp_path / "src" / "a.png", np.full((4, 4, 3), 90, np.uint8))
+    for name, target in (("lock", "elsewhere.lock"), ("manifest.sqlite", "elsewhere.sqlite")):
+        (tmp_path / "dst" / ".spxbatch" / name).symlink_to(tmp_path / target)
+        outcome = run_tool("spxbatch", "src", "dst", cwd=tmp_path)
+        assert outcome.code == 2 and name in outcome.stderr, outcome
+        assert not (tmp_path / target).exists()
+        (tmp_path / "dst" / ".spxbatch" / name).unlink()
+
+
+CONFIGURATIONS = {
+    "empty": "", "text": "no configuration", "version": "ocio_profile_version: 99\n", "binary": "\0\1\2",
+    "deep": "ocio_profile_version: 2\nroles: " + "{a: " * 3000 + "}" * 3000,
+    "laughs": "a: &a [x,x,x,x,x,x,x,x,x,x]\n" + "".join(f"{c}: &{c} [{','.join('*' + p for _ in range(10))}]\n" for p, c in zip("abcdefgh", "bcdefghi")) +
+              "ocio_profile_version: 2\nroles: *i\n",
+}
+
+
+@pytest.mark.parametrize("name", sorted(CONFIGURATIONS))
+def test_hostile_configurations(name, tmp_path):
+    (tmp_path / "c.ocio").write_text(CONFIGURATIONS[name])
+    write_image(tmp_path / "a.png", np.full((4, 4, 3), 90, np.uint8))
+    before = tree(tmp_path)
+    code, text, memory = measured("spxrelight", "-i", "A", "--bake", "c.ocio", cwd=tmp_path)
+    assert code == 2 and "c.ocio" in text and memory < MOST_MEMORY, (code, text[:500])
+    assert tree(tmp_path) == before
+    if name not in ("deep", "version"):
+        return
+    outcome = run_tool("spxrelight", "a.png", "-i", "A", "-o", "x.png", "--output-colorspace", "no such space", cwd=tmp_path,
+                       env={"OCIO": str(tmp_path / "c.ocio")})
+    assert outcome.code in (2, 64) and "unexpected" not in outcome.stderr, outcome
+    assert tree(tmp_path) == before
+
+
+def test_pixels_without_a_number(tmp_path):
+    """A million of them are counted and marked; statistics are of what is left, and never NaN."""
+    pixels = np.full((1000, 1000, 3), np.nan, np.float32)
+    write_image(tmp_path / "nan.exr", pixels)
+    pixels[10:20, 30:40] = 0.25
+    write_image(tmp_path / "some.exr", pixels)
+    for tool, arguments in [(UP, ["nan.exr", "-o", "x.exr"]), (RE, ["nan.exr", "-i", "A", "-o", "x.exr"])]:
+        report = run_tool(tool, *arguments, "--json", "-", cwd=tmp_path, check=0).json()
+        assert report["nonfinite"] == 1000000 and report["first_nonfinite"] == [0, 0]
+        assert np.isfinite(read_image(tmp_path / "x.exr")[0]).all()
+    for name, left in (("nan.exr", 0), ("some.exr", 100)):
+        report = run_tool("spxdiff", name, name, "--map", "map.exr", "--json", "-", cwd=tmp_path, check=0).json()  # .json() refuses NaN
+        assert report["nonfinite"] == 1000000 - left and report["pixels"] == left
+        mask = np.isnan(read_image(tmp_path / "map.exr")[0])
+        assert mask.sum() == 1000000 - left and (left == 0 or not mask[10:20, 30:40].any())
+    report = run_tool("spxheat", "map.exr", "-o", "x.png", "--json", "-", cwd=tmp_path, check=0).json()
+    assert run_tool(UP, "nan.exr", "-o", "y.exr", "--strict", cwd=tmp_path).code == 2
+
+
+def test_tiles_and_levels_are_read(tmp_path):
+    """Of a tiled file with smaller levels, the first is the picture."""
+    pixels = np.random.default_rng(2).random((40, 50, 3)).astype(np.float32)
+    write_image(tmp_path / "plain.exr", pixels)
+    spec = oiio.ImageSpec(50, 40, 3, "float")
+    spec.tile_width = spec.tile_height = 16
+    output = oiio.ImageOutput.create(str(tmp_path / "mip.exr"))
+    spec.attribute("openexr:levelmode", 1)
+    assert output.open(str(tmp_path / "mip.exr"), spec) and output.write_image(pixels) and output.close()
+    for name in ("plain", "mip"):
+        run_tool(UP, f"{name}.exr", "-o", f"{name}_up.exr", cwd=tmp_path, check=0)
+    assert np.array_equal(read_image(tmp_path / "plain_up.exr")[0], read_image(tmp_path / "mip_up.exr")[0])
+
+
+def test_no_text_is_a_format():
+    """Messages are made by {fmt}, whose formats the compiler checks: no printf, and no format that is known at run time only."""
+    pattern = re.compile(r"\b\w*printf\s*\(|syslog\s*\(|fmt::runtime|fmt::v(format|print)|\bsystem\s*\(|\bpopen\s*\(")
+    for folder in ("lib", "apps"):
+        for path in (oracle.ROOT / folder).rglob("*"):
+            if path.suffix in (".cpp", ".h"):
+                assert not pattern.search(path.read_text()), path
+
+
 def test_there_are_enough():
-    assert len(CASES) >= 40
+    """Sixty bad inputs at the least, all of them different."""
+    files = len(hostile.PICTURES) + len(hostile.SPECTRA) + len(hostile.LAMPS) + len(hostile.SCENES) + len(MANIFESTS) + len(CONFIGURATIONS)
+    assert len(CASES) >= 40 and files >= 60
 
 
 def test_counts_of_odd_pixels(work):

@@ -2,6 +2,8 @@
 
 import os
 import pty
+import re
+import shutil
 import subprocess
 
 import pytest
@@ -168,3 +170,23 @@ def test_no_escape_sequences_on_a_terminal_for_errors(tool):
         pass  # Linux says EIO once the other side is closed
     os.close(parent)
     assert b"--threads" in text and b"\x1b" not in text
+
+
+@pytest.mark.skipif(os.environ.get("SPECTEX_HARDENED") != "1", reason="only Release builds are hardened")
+@pytest.mark.skipif(shutil.which("readelf") is None, reason="readelf is missing")
+def test_hardened():
+    """What the linker and the compiler were asked for is in the files."""
+    imported = {}
+    for path in [*(BIN / tool for tool in tools()), os.environ["SPECTEX_LIBRARY"]]:
+        text = subprocess.run(["readelf", "-hlWd", "--dyn-syms", str(path)], capture_output=True, text=True, check=True).stdout
+        stack = [line for line in text.splitlines() if "GNU_STACK" in line]
+        assert len(stack) == 1 and " RW " in stack[0] and "RWE" not in stack[0], path
+        assert "GNU_RELRO" in text and "NOW" in text and "TEXTREL" not in text, path
+        assert "Type:" in text and "DYN" in text, path
+        if str(path) != os.environ["SPECTEX_LIBRARY"]:
+            assert re.search(r"FLAGS_1.*PIE", text), f"{path}: not position-independent"
+        imported[str(path)] = text
+        assert "__stack_chk_fail" in text, f"{path}: no stack protector"
+    library = imported[os.environ["SPECTEX_LIBRARY"]]
+    assert re.search(r"__\w+_chk\b", library.replace("__stack_chk_fail", "")), "no fortified calls"
+    assert "glibcxx_assert_fail" in library, "containers are not checked in the rooms that read files"
