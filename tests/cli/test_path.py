@@ -95,6 +95,16 @@ def test_coefficients_are_the_linear_picture(run, tmp_path):
     assert np.allclose(oracle.relight_matrix(bands, "D65") @ basis, np.eye(3), atol=1e-9)
 
 
+@pytest.mark.parametrize("method", ["meng2015"])
+def test_coefficients_are_read_back_by_their_own_model(method, run, tmp_path):
+    """Some models bear tables of a hundred kilobytes in the header."""
+    source, out = tmp_path / "tile.png", tmp_path / "out.exr"
+    write_image(source, np.random.default_rng(2).integers(0, 256, (8, 9, 3), dtype=np.uint8))
+    stored = run("spxuplift", source, "-o", out, "--method", method, "--float", "--check", "--json", "-", check=0).json()
+    read = run("spxdiff", source, out, "--json", "-", check=0).json()
+    assert read["pixels"] == 72 and abs(read["changed_codes"] - stored["roundtrip"]["changed_codes"]) <= 1
+
+
 def test_float_spectra_are_the_primaries(run, tmp_path):
     """With 5 nm bands the spectra are the kept primaries, mixed by linear RGB."""
     source = picture("chelsea.png")
