@@ -206,13 +206,14 @@ void study_differences(Study& study) {
                         // Lab right to some 1e-13 turns the hue of a nearly neutral colour by this much.
                         const double chroma = std::min(static_cast<double>(quad::length(p[1], p[2])), static_cast<double>(quad::length(q[1], q[2])));
                         const double largest = std::max({100.0, std::fabs(static_cast<double>(p[0])), std::fabs(static_cast<double>(q[0]))});
-                        const double slack = std::min(400.0, 60 * largest * 1e-13 / std::max(chroma, 1e-300) + 1e-12);
+                        // Float planes weigh by hues of float.
+                        const double slack = std::min(400.0, 60 * largest * 1e-13 / std::max(chroma, 1e-300) + (single ? 1e-3 : 1e-12));
                         bool jumps = false;
                         auto e = quad::abs(Real(Real(got) - formula(metric, p, q, slack, 0, &jumps)));
                         if (jumps) e = std::min(e, quad::abs(Real(Real(got) - formula(metric, p, q, slack, 1, nullptr))));
                         // The rotation term of a blue has a root of the other's chroma: 1e-13 there is no error of the formula's.
                         const double other = std::max(static_cast<double>(quad::length(p[1], p[2])), static_cast<double>(quad::length(q[1], q[2])));
-                        const double singular = metric == Metric::ciede2000 && chroma < 1e-6 && chroma > 0 ? 2 * std::sqrt(1e-15 * largest * other) : 0;
+                        const double singular = metric == Metric::ciede2000 && chroma > 0 ? 2 * std::sqrt(other) * (std::sqrt(chroma + 4e-15 * largest) - std::sqrt(chroma)) : 0;
                         return std::max(0.0, static_cast<double>(e) - singular);
                     };
                     if (!std::isfinite(got)) {
