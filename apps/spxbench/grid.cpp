@@ -341,6 +341,10 @@ int scaling(app::App& tool, const GridRequest& request) {
         const auto parsed = BandSet::parse(bands);
         if (!parsed) return tool.report(parsed.error());
         const auto seconds = measure(texture, Store::spectral, *parsed, tool.threads());
+        if (!seconds && seconds.error().kind == ErrorKind::infeasible) {
+            tool.note(fmt::format("bands {}: {}", bands, seconds.error().message));
+            continue;
+        }
         if (!seconds) return tool.report(seconds.error());
         add("bands", bands, *seconds, pixels, static_cast<double>(parsed->size()));
     }
