@@ -140,16 +140,14 @@ HWY_INLINE void Residual(DF df, const SigmoidBand* bands, std::size_t count, con
         const SigmoidBand& band = bands[b];
         const VF y = roots[slot];
         if constexpr (with_jacobian) {
-            if (band.few_t_squared >= 0) {
-                const VF g = hn::Mul(hn::Mul(y, y), y);
-                const VF tf = hn::Set(df, band.t_single), tt = hn::Set(df, band.few_t_squared);
-                const VF u0 = hn::Mul(hn::Set(df, band.few_a_times_8[0]), g);
-                const VF u1 = hn::Mul(hn::Set(df, band.few_a_times_8[1]), g);
-                const VF u2 = hn::Mul(hn::Set(df, band.few_a_times_8[2]), g);
-                j02 = hn::Add(j02, u0), j12 = hn::Add(j12, u1), j22 = hn::Add(j22, u2);
-                j01 = hn::Add(j01, hn::Mul(u0, tf)), j11 = hn::Add(j11, hn::Mul(u1, tf)), j21 = hn::Add(j21, hn::Mul(u2, tf));
-                j00 = hn::Add(j00, hn::Mul(u0, tt)), j10 = hn::Add(j10, hn::Mul(u1, tt)), j20 = hn::Add(j20, hn::Mul(u2, tt));
-            }
+            const VF g = hn::Mul(hn::Mul(y, y), y);
+            const VF tf = hn::Set(df, band.t_single), tt = hn::Set(df, band.t_squared_single);
+            const VF u0 = hn::Mul(hn::Set(df, band.a_times_8_single[0]), g);
+            const VF u1 = hn::Mul(hn::Set(df, band.a_times_8_single[1]), g);
+            const VF u2 = hn::Mul(hn::Set(df, band.a_times_8_single[2]), g);
+            j02 = hn::Add(j02, u0), j12 = hn::Add(j12, u1), j22 = hn::Add(j22, u2);
+            j01 = hn::Add(j01, hn::Mul(u0, tf)), j11 = hn::Add(j11, hn::Mul(u1, tf)), j21 = hn::Add(j21, hn::Mul(u2, tf));
+            j00 = hn::Add(j00, hn::Mul(u0, tt)), j10 = hn::Add(j10, hn::Mul(u1, tt)), j20 = hn::Add(j20, hn::Mul(u2, tt));
         }
         // y to double precision by one Newton step for y^-2 = 1 + x^2, of which a relative error e leaves 3/2 e^2. With
         // h = y / 2 and u = x h: x y (3/2 - (1 + x^2) y^2 / 2) = 4 u (3/4 - (h^2 + u^2)), of which the 4 is in the weights.
@@ -391,8 +389,10 @@ SigmoidEquations::SigmoidEquations(std::span<const double> t, std::span<const do
         for (std::size_t i = 0; i < 3; ++i) {
             sum[i] += band.a[i];
             band.a_times_4[i] = 4 * band.a[i];
+            band.a_times_8_single[i] = static_cast<float>(8 * band.a[i]);
         }
         band.t_single = static_cast<float>(band.t);
+        band.t_squared_single = static_cast<float>(band.t * band.t);
         bands.push_back(band);
     }
     for (std::size_t b = 0; b < n;) {
@@ -411,9 +411,7 @@ SigmoidEquations::SigmoidEquations(std::span<const double> t, std::span<const do
             double total = 0;
             for (std::size_t k = b; k < end; ++k) total += a[i * n + k];
             one.a[i] = static_cast<float>(total);
-            bands[middle].few_a_times_8[i] = 8 * one.a[i];
         }
-        bands[middle].few_t_squared = one.t_squared;
         few.push_back(one);
         b = end;
     }

@@ -31,9 +31,8 @@ struct SigmoidBand {
     double t;
     std::array<double, 3> a;
     std::array<double, 3> a_times_4{};
-    float t_single = 0;
-    float few_t_squared = -1;  ///< t^2 where this band stands for itself or a few in the Jacobian; negative: another does
-    std::array<float, 3> few_a_times_8{};
+    float t_single = 0, t_squared_single = 0;
+    std::array<float, 3> a_times_8_single{};
 };
 
 /// The three equations sum_b a_i(b) S(x(t_b)) = q_i, and a table of near solutions.
@@ -46,14 +45,14 @@ struct SigmoidEquations {
     std::vector<SigmoidBand> bands;
     std::array<double, 3> sum{};  ///< sum_b a_i(b)
 
-    /// The bands of the first step and of the Jacobians, which need not be exact: neighbours that weigh next to nothing,
+    /// The bands of the first step, which need not be exact: neighbours that weigh next to nothing,
     /// at either end of the spectrum, are taken together.
     struct Few {
         float t, t_squared;
         std::array<float, 3> a;
     };
     static constexpr std::size_t most_merged = 4;
-    static constexpr double light_enough = 0.0001;  ///< of white's 1; at 0.002 four times as many colours need a second pass
+    static constexpr double light_enough = 0.0003;  ///< of white's 1
     std::vector<Few> few;
 
     /// Coefficients times sqrt(z) on a grid over (block, w, y, x): the block is the index of the largest component z of q,
