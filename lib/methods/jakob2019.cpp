@@ -30,7 +30,7 @@ constexpr double darkest_in_kernel = 1e-5;
 /// sqrt(z) of the vertices that stand for black: close enough to the limit that the difference, of the order of z, is less
 /// than a float resolves.
 constexpr double darkest_vertex = 1e-4;
-constexpr std::size_t coarse_resolution = 9, fine_resolution = 49;
+constexpr std::size_t coarse_resolution = 9, fine_resolution = 57;
 constexpr std::size_t block = 512;
 
 double norm(const Vector3& v) { return std::sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2]); }
