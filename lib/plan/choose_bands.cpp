@@ -1,12 +1,12 @@
 #include "plan/choose_bands.h"
 
 #include <fmt/format.h>
-#include <tbb/parallel_for.h>
 
 #include <algorithm>
 #include <cmath>
 
 #include "methods/tetrahedral_model.h"
+#include "parallel.h"
 #include "solvers/lattice.h"
 #include "solvers/quadratic_programme.h"
 #include "spectex/compare.h"
@@ -291,7 +291,7 @@ Result<BandChoice> choose_bands(std::string_view method, const ColorimetrySpec& 
         const auto fitter = Fitter::make(truth, *to, lights);
         if (!fitter) return impossible;
         std::vector<double> errors(judged.size());
-        tbb::parallel_for(std::size_t{0}, judged.size(), [&](std::size_t i) {
+        parallel_for(std::size_t{0}, judged.size(), [&](std::size_t i) {
             std::vector<double> r(nm.size());
             errors[i] = fitter->fit(judged[i], r).value_or(impossible);
         });
@@ -325,7 +325,7 @@ Result<BandChoice> choose_bands(std::string_view method, const ColorimetrySpec& 
             if (!fitter) return fitter.error();
             LatticeTable fitted{table->knots, nm.size(), std::vector<double>(static_cast<std::size_t>(truth.relit[0].cols()) * nm.size())};
             // A vertex without a reflectance keeps the nearest one; colours that need it show in what follows.
-            tbb::parallel_for(std::size_t{0}, static_cast<std::size_t>(truth.relit[0].cols()), [&](std::size_t v) {
+            parallel_for(std::size_t{0}, static_cast<std::size_t>(truth.relit[0].cols()), [&](std::size_t v) {
                 (void)fitter->fit(v, {&fitted.vertices[v * nm.size()], nm.size()});
             });
             const std::shared_ptr<const Model> model = std::make_shared<FittedLattice>(truth.model->info(), *to, std::move(fitted), lights);

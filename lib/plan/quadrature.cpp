@@ -1,12 +1,12 @@
 #include "plan/quadrature.h"
 
-#include <tbb/parallel_for.h>
 
 #include <Eigen/Dense>
 #include <algorithm>
 #include <cmath>
 #include <random>
 
+#include "parallel.h"
 #include "spectex/compare.h"
 
 namespace spectex::plan {
@@ -57,7 +57,7 @@ Eigen::MatrixXd spectra_of(const Model& model, const std::vector<double>& rgb) {
     const std::size_t bands = model.colorimetry().bands().size(), n = rgb.size() / 3;
     Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor> out(static_cast<Eigen::Index>(n), static_cast<Eigen::Index>(bands));
     constexpr std::size_t block = 128;
-    tbb::parallel_for(std::size_t{0}, (n + block - 1) / block, [&](std::size_t part) {
+    parallel_for(std::size_t{0}, (n + block - 1) / block, [&](std::size_t part) {
         const std::size_t first = part * block, count = std::min(block, n - first);
         model.reflectance({&rgb[3 * first], 3 * count}, {out.data() + first * bands, count * bands});
     });
