@@ -61,10 +61,11 @@ std::uint64_t count_changed_codes(std::array<const float*, 3> a, std::array<cons
     static const CodeTable code;
     std::uint64_t changed = 0;
     for (std::size_t i = 0; i < n; ++i) {
-        bool differs = false;
+        unsigned differs = 0;  // in whole numbers, so that no comparison becomes a branch
         for (std::size_t k = 0; k < 3; ++k) {
             const float p = a[k][i], q = b[k][i];
-            differs |= std::isnan(p) | std::isnan(q) | (code(p) != code(q));
+            differs |= static_cast<unsigned>(std::isnan(p)) | static_cast<unsigned>(std::isnan(q)) |
+                       static_cast<unsigned>(code(p) != code(q));
         }
         changed += differs;
     }
