@@ -2,7 +2,6 @@
 #include <fmt/format.h>
 #include <sys/stat.h>
 #include <tbb/info.h>
-#include <tbb/parallel_for.h>
 #include <tbb/task_arena.h>
 
 #include <algorithm>
@@ -17,6 +16,7 @@
 #include "batch/small_png.h"
 #include "batch/thumbnail_cache.h"
 #include "io/internal.h"
+#include "parallel.h"
 
 namespace spectex {
 namespace {
@@ -123,35 +123,33 @@ std::vector<Pictures> make_pictures(const std::string& destination, const BatchR
     const int threads = options.job.threads > 0 ? options.job.threads : tbb::info::default_concurrency();
     tbb::task_arena arena(threads);
     arena.execute([&] {
-        tbb::parallel_for(tbb::blocked_range<std::size_t>(0, todo.size(), 1), [&](const auto& range) {
+        parallel_for(std::size_t{0}, todo.size(), [&](std::size_t at) {
             // Else a thread that waits within one file would begin the next on top of it.
             tbb::this_task_arena::isolate([&] {
-                for (std::size_t at = range.begin(); at != range.end(); ++at) {
-                    const BatchFile& f = report.files[choice.pictures[todo[at]]];
-                    Pictures& p = all[todo[at]];
-                    ThumbnailOptions o;
-                    o.job.threads = 1;
-                    o.job.in_callers_arena = true;
-                    o.job.input_colorspace = options.job.input_colorspace;
-                    o.settings = options.settings;
-                    o.light = options.light;
-                    o.side = side;
-                    const auto made = thumbnails(f.input, f.output, o);
-                    if (made) {
-                        ThumbnailFiles files;
-                        files.width = made->source.width, files.height = made->source.height;
-                        files.png = {small_png(made->source, thumbnail_colors), small_png(made->relit, thumbnail_colors),
-                                     small_png(made->errors, thumbnail_colors)};
-                        cache.keep(f.relative, key(f), files);
-                        p.files = std::move(files);
-                    } else {
-                        p.failure = made.error().message;
-                    }
-                    const auto sum = passed += static_cast<std::uint64_t>(f.width) * static_cast<std::uint64_t>(f.height);
-                    if (!options.job.progress) continue;
-                    const std::lock_guard lock(mutex);
-                    options.job.progress(sum, pixels);
+                const BatchFile& f = report.files[choice.pictures[todo[at]]];
+                Pictures& p = all[todo[at]];
+                ThumbnailOptions o;
+                o.job.threads = 1;
+                o.job.in_callers_arena = true;
+                o.job.input_colorspace = options.job.input_colorspace;
+                o.settings = options.settings;
+                o.light = options.light;
+                o.side = side;
+                const auto made = thumbnails(f.input, f.output, o);
+                if (made) {
+                    ThumbnailFiles files;
+                    files.width = made->source.width, files.height = made->source.height;
+                    files.png = {small_png(made->source, thumbnail_colors), small_png(made->relit, thumbnail_colors),
+                                 small_png(made->errors, thumbnail_colors)};
+                    cache.keep(f.relative, key(f), files);
+                    p.files = std::move(files);
+                } else {
+                    p.failure = made.error().message;
                 }
+                const auto sum = passed += static_cast<std::uint64_t>(f.width) * static_cast<std::uint64_t>(f.height);
+                if (!options.job.progress) return;
+                const std::lock_guard lock(mutex);
+                options.job.progress(sum, pixels);
             });
         });
     });
