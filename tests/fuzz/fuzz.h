@@ -58,4 +58,15 @@ private:
     std::filesystem::path path_;
 };
 
+/// By the first bytes, of the formats that textures come in; null for others.
+inline const char* suffix_for(std::string_view bytes) {
+    using namespace std::string_view_literals;
+    if (bytes.starts_with("\x76\x2f\x31\x01"sv)) return ".exr";
+    if (bytes.starts_with("\x89PNG"sv)) return ".png";
+    if (bytes.starts_with("\xff\xd8"sv)) return ".jpg";
+    if (bytes.starts_with("II\x2a\0"sv) || bytes.starts_with("MM\0\x2a"sv)) return ".tif";
+    if (bytes.starts_with("#?"sv)) return ".hdr";
+    return nullptr;
+}
+
 }  // namespace spectex::fuzz

@@ -6,22 +6,8 @@
 #include "fuzz.h"
 #include "spectex/io.h"
 
-namespace {
-
-const char* suffix_for(std::string_view bytes) {
-    using namespace std::string_view_literals;
-    if (bytes.starts_with("\x76\x2f\x31\x01"sv)) return ".exr";
-    if (bytes.starts_with("\x89PNG"sv)) return ".png";
-    if (bytes.starts_with("\xff\xd8"sv)) return ".jpg";
-    if (bytes.starts_with("II\x2a\0"sv) || bytes.starts_with("MM\0\x2a"sv)) return ".tif";
-    if (bytes.starts_with("#?"sv)) return ".hdr";
-    return nullptr;
-}
-
-}  // namespace
-
 int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size) {
-    const char* suffix = suffix_for(spectex::fuzz::text_of(data, size));
+    const char* suffix = spectex::fuzz::suffix_for(spectex::fuzz::text_of(data, size));
     if (suffix == nullptr) return 0;
     static const spectex::fuzz::Folder folder;
     const auto path = folder.write(std::string("image") + suffix, {data, size});

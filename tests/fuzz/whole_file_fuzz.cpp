@@ -8,16 +8,6 @@ namespace {
 
 using namespace spectex;
 
-const char* suffix_for(std::string_view bytes) {
-    using namespace std::string_view_literals;
-    if (bytes.starts_with("\x76\x2f\x31\x01"sv)) return ".exr";
-    if (bytes.starts_with("\x89PNG"sv)) return ".png";
-    if (bytes.starts_with("\xff\xd8"sv)) return ".jpg";
-    if (bytes.starts_with("II\x2a\0"sv) || bytes.starts_with("MM\0\x2a"sv)) return ".tif";
-    if (bytes.starts_with("#?"sv)) return ".hdr";
-    return nullptr;
-}
-
 void check_statistics(const DifferenceStatistics& s) {
     SPECTEX_FUZZ_CHECK(std::isfinite(s.mean) && std::isfinite(s.max) && s.mean <= s.max && s.p50 <= s.p99 && s.p99 <= s.max);
 }
@@ -28,7 +18,7 @@ int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size) {
     if (size < 2) return 0;
     const unsigned how = data[0];
     const std::span<const std::uint8_t> bytes(data + 1, size - 1);
-    const char* suffix = suffix_for(fuzz::text_of(bytes.data(), bytes.size()));
+    const char* suffix = fuzz::suffix_for(fuzz::text_of(bytes.data(), bytes.size()));
     if (suffix == nullptr) return 0;
     static const fuzz::Folder folder;
     const std::string input = folder.write(std::string("image") + suffix, bytes);
