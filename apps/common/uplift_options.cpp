@@ -38,6 +38,16 @@ Result<std::optional<StoreChoice>> UpliftOptionSet::store_choice() const {
     return std::optional<StoreChoice>(*std::move(choice));
 }
 
+Result<Layout> UpliftOptionSet::layout(const App& app, Layout named) const {
+    const auto choice = store_choice();
+    if (!choice) return choice.error();
+    if (!*choice) return named;
+    if (!app.given("--layout")) return (*choice)->layout;
+    if (named != (*choice)->layout && (*choice)->store == Store::spectral)
+        return Error{ErrorKind::usage, "--layout: the readers named by --for-reader need the other layout"};
+    return named;
+}
+
 Result<UpliftSettings> UpliftOptionSet::settings(const App& app) const {
     UpliftSettings s;
     const auto choice = store_choice();

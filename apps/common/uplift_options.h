@@ -17,6 +17,8 @@ struct UpliftOptionSet {
 
     /// What --store auto comes to; nothing where it is named. @error usage, as choose_store.
     Result<std::optional<StoreChoice>> store_choice() const;
+    /// The layout: that of the readers of --for-reader, unless --layout names it. @error usage where the two disagree.
+    Result<Layout> layout(const App& app, Layout named) const;
     /// @error usage.
     Result<UpliftSettings> settings(const App& app) const;
 };

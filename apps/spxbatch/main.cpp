@@ -229,13 +229,9 @@ int main(int argc, char** argv) {
         const auto settings = set.settings(app);
         if (!settings) return app.report(settings.error());
         options.settings = *settings;
-        const auto choice = set.store_choice();
-        if (!choice) return app.report(choice.error());
-        if (*choice) {
-            if (app.given("--layout") && options.layout != (*choice)->layout && (*choice)->store == Store::spectral)
-                return app.usage_error("--layout: the readers named by --for-reader need the other layout");
-            if (!app.given("--layout")) options.layout = (*choice)->layout;
-        }
+        const auto chosen = set.layout(app, options.layout);
+        if (!chosen) return app.report(chosen.error());
+        options.layout = *chosen;
         if (!app.given("--report-light") && !set.lights.empty()) page_light = set.lights.front();
         const auto light = parse_illuminant(page_light);
         if (!light) return app.report({light.error().kind, "--report-light: " + light.error().message});

@@ -43,13 +43,9 @@ int main(int argc, char** argv) {
         UpliftOptions options;
         options.settings = *settings;
         options.layout = layout == "multipart" ? Layout::multipart : Layout::single;
-        const auto choice = set.store_choice();
-        if (!choice) return app.report(choice.error());
-        if (*choice) {
-            if (app.given("--layout") && options.layout != (*choice)->layout && (*choice)->store == Store::spectral)
-                return app.usage_error("--layout: the readers named by --for-reader need the other layout");
-            if (!app.given("--layout")) options.layout = (*choice)->layout;
-        }
+        const auto chosen = set.layout(app, options.layout);
+        if (!chosen) return app.report(chosen.error());
+        options.layout = *chosen;
         options.constant_to_pixel = constant_to_pixel;
         options.compression = set.output.compression;
         options.check_all = check;
@@ -60,7 +56,7 @@ int main(int argc, char** argv) {
                 const auto lines = explain_uplift(job.input, options);
                 if (!lines) return lines.error();
                 auto all = *lines;
-                if (*choice) all.push_back({"store chosen", (*choice)->reason});
+                if (const auto choice = set.store_choice(); choice && *choice) all.push_back({"store chosen", (*choice)->reason});
                 explain(app, job.input, all);
             }
             const auto report = uplift(job.input, job.outputs[0], options);
