@@ -181,7 +181,7 @@ std::vector<Mark> lay_out(const Chart& chart) {
                     const double cy = p[1] - std::sin(angle) * (reach + h / 2);
                     const double x0 = std::cos(angle) > 0.3 ? p[0] + std::cos(angle) * reach : std::cos(angle) < -0.3 ? p[0] + std::cos(angle) * reach - w : cx - w / 2;
                     const Box box{x0 - 2, cy - h / 2 - 1, x0 + w + 2, cy + h / 2 + 1};
-                    if (box.x0 < left + 3 || box.x1 > right + 24 || box.y0 < top - 8 || box.y1 > bottom - 3) continue;
+                    if (box.x0 < left + 3 || box.x1 > right + 2 || box.y0 < top - 8 || box.y1 > bottom - 3) continue;
                     if (std::any_of(taken.begin(), taken.end(), [&](const Box& o) { return box.overlaps(o); })) continue;
                     taken.push_back(box);
                     if (reach > 2 * (dot + gap))
