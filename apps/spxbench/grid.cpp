@@ -31,6 +31,14 @@ struct StoreSpec {
     std::optional<double> max_error;
 };
 
+/// For a chart, whose labels are many: 36 half bands, ΔE ≤ 0.5.
+std::string label_of(const StoreSpec& spec) {
+    const char* type = spec.type == PixelType::half ? "half" : "float";
+    std::string label = spec.store == Store::coefficients ? fmt::format("{} coefficients", type) : fmt::format("{} {} bands", spec.bands, type);
+    if (spec.max_error) label += fmt::format(", ΔE ≤ {:g}", *spec.max_error);
+    return label;
+}
+
 Result<StoreSpec> parse_store(const std::string& text) {
     const auto wrong = [&] {
         return Error{ErrorKind::usage, fmt::format("--stores: expected KIND-TYPE[:BANDS][:max-error=DE] with KIND coefficients or spectral and "
@@ -164,7 +172,7 @@ int grid(app::App& tool, const GridRequest& request) {
                                         {"p99", row->roundtrip.p99}, {"max", row->roundtrip.max}, {"changed_codes", row->roundtrip.changed_codes},
                                         {"relight_mean", row->relight_mean}, {"relight_max", row->relight_max}, {"peak_bytes", row->peak_bytes},
                                         {"reference_error", row->reference_error}});
-                series.points.push_back({spec.name + (kernels.size() > 1 ? " " + instructions : ""), file, row->relight_mean});
+                series.points.push_back({label_of(spec) + (kernels.size() > 1 ? " " + instructions : ""), file, row->relight_mean});
                 points.push_back({file, std::max(row->relight_mean, exact_below)});
             }
         chart.series.push_back(std::move(series));

@@ -114,7 +114,6 @@ int scaling(app::App& tool, const GridRequest& request) {
     const std::string coefficients = "pixels, to half coefficients", spectra = "pixels, to 36 half bands";
     const BandSet own, bands36 = *BandSet::parse("36");
     ChartSeries to_coefficients{coefficients, {}, curve_color(1), true}, to_spectra{spectra, {}, curve_color(2), true};
-    std::string of_bands;
     for (int size = 1024; static_cast<double>(size) * size <= request.max_megapixels * 1048576; size *= 2) {
         if (auto written = write_test_texture(texture, size, size); !written) return tool.report(written.error());
         const double pixels = static_cast<double>(size) * size;
