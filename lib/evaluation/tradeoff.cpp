@@ -13,6 +13,7 @@
 #include "kernels/convert.h"
 #include "parallel.h"
 #include "pipeline/source.h"
+#include "plan/bounded_store.h"
 #include "spectex/color.h"
 #include "spectex/evaluation.h"
 #include "spectral/numeric.h"
@@ -125,6 +126,13 @@ struct Stored {
     }
 };
 
+/// What the pipeline does to a block of colours: by the plan, or to the fewest bits within a bound.
+void store_block(const StorePlan& plan, const BoundedStore* bounded, std::array<const float*, 3> rgb, std::size_t n, std::span<std::byte* const> planes) {
+    if (!bounded) return plan.store(rgb, n, planes);
+    BoundedStore::Outcome outcome;
+    bounded->store(rgb, n, planes, outcome);
+}
+
 struct Sums {
     CompensatedSum relight;
     std::uint64_t relit = 0;
@@ -132,7 +140,7 @@ struct Sums {
 };
 
 /// Kernels against sums in double, and stored spectra under the lights against the method's own.
-Status check_colours(const std::string& path, const StorePlan& plan, const Model& model, const Model& master, Store store,
+Status check_colours(const std::string& path, const StorePlan& plan, const BoundedStore* bounded, const Model& model, const Model& master, Store store,
                      std::span<const TristimulusWeights> stored_weights, std::span<const TristimulusWeights> master_weights,
                      const std::array<std::vector<float>, 3>& colours, Sums& sums) {
     const std::size_t all = colours[0].size(), step = std::max<std::size_t>(all / checked_colours, 1);
@@ -142,7 +150,7 @@ Status check_colours(const std::string& path, const StorePlan& plan, const Model
     const std::size_t n = picked[0].size(), bands = model.colorimetry().bands().size(), full = master.colorimetry().bands().size();
     for (auto& plane : back) plane.assign(n, 0.0f);
     Stored stored(plan, n);
-    plan.store({picked[0].data(), picked[1].data(), picked[2].data()}, n, stored.planes);
+    store_block(plan, bounded, {picked[0].data(), picked[1].data(), picked[2].data()}, n, stored.planes);
     plan.reproject(std::vector<const std::byte*>(stored.planes.begin(), stored.planes.end()), n,
                    {back[0].data(), back[1].data(), back[2].data()});
     std::vector<double> kept(plan.channels()), spectrum(bands), own(full), rgb(3);
@@ -181,7 +189,7 @@ Status check_colours(const std::string& path, const StorePlan& plan, const Model
 }
 
 /// One file: the kernels alone. @return {store, reproject} seconds.
-std::array<double, 2> time_kernels(const StorePlan& plan, const std::array<std::vector<float>, 3>& colours, int threads) {
+std::array<double, 2> time_kernels(const StorePlan& plan, const BoundedStore* bounded, const std::array<std::vector<float>, 3>& colours, int threads) {
     const std::size_t n = colours[0].size(), blocks = (n + block - 1) / block;
     std::array<double, 2> total{};
     tbb::task_arena arena(threads > 0 ? threads : tbb::task_arena::automatic);
@@ -192,7 +200,7 @@ std::array<double, 2> time_kernels(const StorePlan& plan, const std::array<std::
                 thread_local std::array<std::vector<float>, 3> out;
                 const std::size_t begin = b * block, count = std::min(block, n - begin);
                 Stored stored(plan, count);
-                plan.store({colours[0].data() + begin, colours[1].data() + begin, colours[2].data() + begin}, count, stored.planes);
+                store_block(plan, bounded, {colours[0].data() + begin, colours[1].data() + begin, colours[2].data() + begin}, count, stored.planes);
                 if (!reproject) return;
                 for (auto& plane : out) plane.resize(block);
                 plan.reproject(std::vector<const std::byte*>(stored.planes.begin(), stored.planes.end()), count,
@@ -280,9 +288,16 @@ Result<TradeoffRow> measure_tradeoff(const TradeoffOptions& options) {
         const auto plan = StorePlan::make(*model, settings.store, *type);
         if (!plan) return plan.error();
         row.channels = plan->channels();
-        if (auto checked = check_colours(path, *plan, **model, **master, settings.store, *stored_weights, *master_weights, *colours, sums); !checked)
+        std::optional<BoundedStore> bounded;
+        if (settings.max_error) {
+            auto made = BoundedStore::make(*plan, *model, settings.store, *settings.max_error, settings.lights, nullptr);
+            if (!made) return std::move(made).error();
+            bounded = *std::move(made);
+        }
+        const BoundedStore* bound = bounded ? &*bounded : nullptr;
+        if (auto checked = check_colours(path, *plan, bound, **model, **master, settings.store, *stored_weights, *master_weights, *colours, sums); !checked)
             return checked.error();
-        const auto [store, reproject] = time_kernels(*plan, *colours, options.threads);
+        const auto [store, reproject] = time_kernels(*plan, bound, *colours, options.threads);
         row.store_seconds += store;
         row.reproject_seconds += reproject;
         row.computed += (*colours)[0].size();
