@@ -129,7 +129,7 @@ int scaling(app::App& tool, const GridRequest& request) {
         add(spectra, at, *many, pixels, pixels);
         to_spectra.points.push_back({"", pixels / 1e6, many->wall});
     }
-    const int size = 2048;
+    const int size = request.max_megapixels < 4 ? 1024 : 2048;
     if (auto written = write_test_texture(texture, size, size); !written) return tool.report(written.error());
     const double pixels = static_cast<double>(size) * size;
     for (const char* bands : {"4", "8", "16", "36", "81"}) {

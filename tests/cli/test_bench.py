@@ -40,6 +40,16 @@ def test_kernels_as_ratios_to_a_copy(tmp_path, run):
     assert "| relight by the lattice |" in (tmp_path / "made" / "kernels.md").read_text()
 
 
+def test_scaling_of_the_smallest(run):
+    made = run("spxbench", "scaling", "--max-megapixels", "1", "--runs", "1", "--json", "-", check=0)
+    rows = {r["key"]: r for r in made.json()["rows"]}
+    assert {"pixels, to half coefficients 1 Mpixel", "pixels, to 36 half bands 1 Mpixel", "bands 8", "bands 81", "threads 1"} <= set(rows)
+    assert "bands 4: lattice: vertex" in made.stderr  # four bands cannot hold every colour
+    assert all(0 <= r["system_seconds"] <= r["processor_seconds"] and r["seconds"] > 0 for r in rows.values())
+    # More bands cost more, but less than in proportion: reading and decoding are paid once.
+    assert rows["bands 8"]["processor_seconds"] < rows["bands 81"]["processor_seconds"] < 81 / 8 * rows["bands 8"]["processor_seconds"]
+
+
 def test_accuracy_of_tables_of_ones_own(tmp_path, run):
     nm = np.arange(380, 781, 10)
     bumps = np.stack([0.2 + 0.5 * np.exp(-(((nm - c) / 60) ** 2)) for c in (450, 550, 650)], axis=1)
@@ -83,6 +93,11 @@ def test_grid_of_time_and_error(tmp_path, run):
     assert exact["relight_mean"] < 1e-5 < 1e-2 < stored["relight_mean"]
     assert exact["max"] < 1e-3 and stored["changed_codes"] == 0 and classic["mean"] > 0.5
     assert all(r["file_seconds_per_megapixel"] > 0 and r["bytes_per_texel"] > 1 and r["reference_error"] <= 1e-5 for r in figures["rows"])
+    # What rounding costs is seen in the rounded samples.
+    rounded = run("spxbench", "grid", "--methods", "mallett2019", "--stores", "spectral-half:36,spectral-half:36:max-error=1", "--corpus", ours,
+                  "--runs", "1", "--json", "-", check=0).json()
+    plain, coarse = rounded["rows"]
+    assert 5 * plain["relight_mean"] < coarse["relight_mean"] < 1 and coarse["bytes_per_texel"] < plain["bytes_per_texel"]
     # Nothing on the front is beaten by another row.
     rows = {r["key"]: (r["file_seconds_per_megapixel"], max(r["relight_mean"], 1e-6)) for r in figures["rows"]}
     assert figures["front"]
@@ -90,7 +105,7 @@ def test_grid_of_time_and_error(tmp_path, run):
         assert not any(o[0] <= rows[key][0] and o[1] < rows[key][1] for o in rows.values()), key
     assert sorted(p.name for p in (tmp_path / "made").iterdir()) == ["grid.csv", "grid.json", "grid.md", "grid.png", "grid.svg"]
     svg = (tmp_path / "made" / "grid.svg").read_text()
-    assert svg.count("spectral-half:16<") == 2 and "smits1999" in svg
+    assert svg.count(">16 half bands<") == 2 and "smits1999" in svg
     again = run("spxbench", "grid", *common, "--baseline", tmp_path / "made" / "grid.json", check=0).stdout
     assert "times the baseline" in again and table(again)[1][-1] == "1.00"
     for arguments, mention in [(["--stores", "octal-half"], "octal-half"), (["--stores", "spectral-half:36:max-error=0"], "max-error"),
