@@ -82,11 +82,13 @@ struct BoundedStore::Workspace {
     std::vector<float> errors;              // [checks][block_pixels]
     std::vector<std::uint16_t> halves;      // [stored][block_pixels]
     std::vector<std::uint32_t> undecided;   // their places in the block
+    std::vector<std::uint32_t> held, failed;  // of the undecided, by the last check
     std::vector<std::vector<float>> coefficients;
 
     Workspace(std::size_t stored, std::size_t checks)
         : exact(stored * block_pixels), rounded(stored * block_pixels), expected(3 * checks * block_pixels),
-          got(3 * checks * block_pixels), errors(checks * block_pixels), halves(stored * block_pixels), undecided(block_pixels) {}
+          got(3 * checks * block_pixels), errors(checks * block_pixels), halves(stored * block_pixels),
+          undecided(block_pixels), held(block_pixels), failed(block_pixels) {}
 };
 
 std::optional<BoundedStore::Failure> BoundedStore::store(std::array<const float*, 3> rgb, std::size_t n,
@@ -142,13 +144,27 @@ std::optional<BoundedStore::Failure> BoundedStore::store(std::array<const float*
         if (!half) return;
         for (std::size_t i = 0; i < stored; ++i) kernels::float_to_half(rounded[i], m, &w.halves[i * block_pixels], 1);
     };
-    const auto write = [&](std::size_t p, std::size_t at) {
+    /// The pixels w.held of `rounded` to their places: row by row, since the rows' distance, a power of two, would put all
+    /// samples of a pixel into one set of the cache.
+    const auto write = [&](std::size_t held, std::size_t begin) {
         for (std::size_t i = 0; i < stored; ++i) {
-            if (half)
-                reinterpret_cast<std::uint16_t*>(planes[i])[at] = w.halves[i * block_pixels + p];
-            else
-                reinterpret_cast<float*>(planes[i])[at] = rounded[i][p];
+            if (half) {
+                auto* const out = reinterpret_cast<std::uint16_t*>(planes[i]) + begin;
+                for (std::size_t j = 0; j < held; ++j) out[w.undecided[w.held[j]]] = w.halves[i * block_pixels + w.held[j]];
+            } else {
+                auto* const out = reinterpret_cast<float*>(planes[i]) + begin;
+                for (std::size_t j = 0; j < held; ++j) out[w.undecided[w.held[j]]] = rounded[i][w.held[j]];
+            }
         }
+    };
+    /// The pixels w.failed to the front, with what they are compared with.
+    const auto move_up = [&](std::size_t failed) {
+        const auto row = [&](auto* values) {
+            for (std::size_t j = 0; j < failed; ++j) values[j] = values[w.failed[j]];
+        };
+        for (std::size_t i = 0; i < stored; ++i) row(exact[i]);
+        for (std::size_t i = 0; i < 3 * checks; ++i) row(&w.expected[i * block_pixels]);
+        row(w.undecided.data());
     };
 
     for (std::size_t begin = 0; begin < n; begin += block_pixels) {
@@ -185,20 +201,18 @@ std::optional<BoundedStore::Failure> BoundedStore::store(std::array<const float*
             for (std::size_t i = 0; i < stored; ++i) kernels::round_mantissa(in[i], left, bits, half, rounded[i]);
             measure(left);
             finish(left);
-            std::size_t kept = 0;
+            std::size_t held = 0, failed = 0;
             for (std::size_t p = 0; p < left; ++p) {
                 if (holds(p)) {
                     note(p, bits);
-                    write(p, begin + w.undecided[p]);
-                    continue;
+                    w.held[held++] = static_cast<std::uint32_t>(p);
+                } else {
+                    w.failed[failed++] = static_cast<std::uint32_t>(p);
                 }
-                // The undecided move to the front, with what they are compared with.
-                for (std::size_t i = 0; i < stored; ++i) exact[i][kept] = exact[i][p];
-                for (std::size_t row = 0; row < 3 * checks; ++row)
-                    w.expected[row * block_pixels + kept] = w.expected[row * block_pixels + p];
-                w.undecided[kept++] = w.undecided[p];
             }
-            left = kept;
+            write(held, begin);
+            if (held > 0) move_up(failed);
+            left = failed;
         }
         if (left == 0) continue;
 
@@ -226,8 +240,9 @@ std::optional<BoundedStore::Failure> BoundedStore::store(std::array<const float*
                 return failure;
             }
             note(p, most);
-            write(p, begin + w.undecided[p]);
+            w.held[p] = static_cast<std::uint32_t>(p);
         }
+        write(left, begin);
     }
     return std::nullopt;
 }
