@@ -12,9 +12,9 @@ namespace {
 
 constexpr std::size_t wavelengths_per_sample = 4;
 /// Rows of the texture that are handled together: enough for all processors.
-constexpr int rows_at_once = 64;
+constexpr int lines_at_once = 64;
 /// Pixels whose spectra are formed together: they stay in the cache.
-constexpr std::size_t block = 256;
+constexpr std::size_t colors_at_once = 256;
 
 /// splitmix64's finalizer (Steele, Lea and Flood 2014): any two inputs give unrelated outputs.
 std::uint64_t mixed(std::uint64_t z) {
@@ -206,7 +206,7 @@ Result<GamutRendering> render_gamut(const Colorimetry& colorimetry, const GamutR
     const Shrinker shrinker(width, options.panel);
 
     const auto render = [&](Row& row, int y) {
-        std::vector<double> rgb(3 * n), spectra(block * bands);
+        std::vector<double> rgb(3 * n), spectra(colors_at_once * bands);
         std::vector<float> spectrum(bands + 1), shown;
         for (std::size_t x = 0; x < n; ++x) {
             const auto code = texture.code(static_cast<std::uint32_t>(x), static_cast<std::uint32_t>(y));
@@ -219,8 +219,8 @@ Result<GamutRendering> render_gamut(const Colorimetry& colorimetry, const GamutR
         shrinker.shrink(shown, 3, row.shrunk);
         for (std::size_t m = 0; m < models.size(); ++m) {
             MethodRow& mine = row.methods[m];
-            for (std::size_t begin = 0; begin < n; begin += block) {
-                const std::size_t count = std::min(block, n - begin);
+            for (std::size_t begin = 0; begin < n; begin += colors_at_once) {
+                const std::size_t count = std::min(colors_at_once, n - begin);
                 const std::span<double> formed(spectra.data(), count * bands);
                 models[m]->reflectance({rgb.data() + 3 * begin, 3 * count}, formed);
                 for (std::size_t i = 0; i < count; ++i) {
@@ -251,7 +251,7 @@ Result<GamutRendering> render_gamut(const Colorimetry& colorimetry, const GamutR
         Panel rendering, noise, distortion;
     };
     std::vector<MethodPanels> panels(models.size(), {Panel(shrinker, 3), Panel(shrinker, 1), Panel(shrinker, 1)});
-    std::vector<Row> rows(static_cast<std::size_t>(std::min(rows_at_once, width)));
+    std::vector<Row> rows(static_cast<std::size_t>(std::min(lines_at_once, width)));
     for (auto& row : rows) {
         for (auto& plane_of : row.truth) plane_of.resize(n);
         row.methods.resize(models.size());
@@ -261,8 +261,8 @@ Result<GamutRendering> render_gamut(const Colorimetry& colorimetry, const GamutR
         }
     }
     tbb::task_arena arena(options.threads > 0 ? options.threads : tbb::task_arena::automatic);
-    for (int first = 0; first < width; first += rows_at_once) {
-        const int count = std::min(rows_at_once, width - first);
+    for (int first = 0; first < width; first += lines_at_once) {
+        const int count = std::min(lines_at_once, width - first);
         arena.execute([&] { parallel_for(0, count, [&](int i) { render(rows[static_cast<std::size_t>(i)], first + i); }); });
         for (int i = 0; i < count; ++i) {
             const Row& row = rows[static_cast<std::size_t>(i)];

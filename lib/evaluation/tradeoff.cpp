@@ -26,7 +26,7 @@ constexpr double reference_tolerance = 1e-5;
 constexpr std::size_t checked_colours = 4096;
 /// Colours of a file that are kept for timing the kernels: more than any cache holds, in bounded memory.
 constexpr std::size_t computed_colours = std::size_t{1} << 22;
-constexpr std::size_t block = 4096;
+constexpr std::size_t pixels_per_task = 4096;
 
 double seconds_since(std::chrono::steady_clock::time_point begin) {
     return std::chrono::duration<double>(std::chrono::steady_clock::now() - begin).count();
@@ -190,7 +190,7 @@ Status check_colours(const std::string& path, const StorePlan& plan, const Bound
 
 /// One file: the kernels alone. @return {store, reproject} seconds.
 std::array<double, 2> time_kernels(const StorePlan& plan, const BoundedStore* bounded, const std::array<std::vector<float>, 3>& colours, int threads) {
-    const std::size_t n = colours[0].size(), blocks = (n + block - 1) / block;
+    const std::size_t n = colours[0].size(), blocks = (n + pixels_per_task - 1) / pixels_per_task;
     std::array<double, 2> total{};
     tbb::task_arena arena(threads > 0 ? threads : tbb::task_arena::automatic);
     // What the timing writes stays in the caches, as in the pipeline, whose strips are sized to them.
@@ -198,11 +198,11 @@ std::array<double, 2> time_kernels(const StorePlan& plan, const BoundedStore* bo
         arena.execute([&] {
             parallel_for(std::size_t{0}, blocks, [&](std::size_t b) {
                 thread_local std::array<std::vector<float>, 3> out;
-                const std::size_t begin = b * block, count = std::min(block, n - begin);
+                const std::size_t begin = b * pixels_per_task, count = std::min(pixels_per_task, n - begin);
                 Stored stored(plan, count);
                 store_block(plan, bounded, {colours[0].data() + begin, colours[1].data() + begin, colours[2].data() + begin}, count, stored.planes);
                 if (!reproject) return;
-                for (auto& plane : out) plane.resize(block);
+                for (auto& plane : out) plane.resize(pixels_per_task);
                 plan.reproject(std::vector<const std::byte*>(stored.planes.begin(), stored.planes.end()), count,
                                {out[0].data(), out[1].data(), out[2].data()});
             });

@@ -197,8 +197,6 @@ std::vector<Mark> lay_out(const Chart& chart) {
     return marks;
 }
 
-std::string hex(Rgb8 c) { return fmt::format("#{:02x}{:02x}{:02x}", c[0], c[1], c[2]); }
-
 }  // namespace
 
 Result<std::string> draw_chart_svg(const Chart& chart) {
@@ -213,14 +211,14 @@ Result<std::string> draw_chart_svg(const Chart& chart) {
     for (const auto& mark : lay_out(chart)) {
         if (const auto* line = std::get_if<Line>(&mark)) {
             fmt::format_to(out, "<path d=\"M{:.2f} {:.2f}L{:.2f} {:.2f}\" stroke=\"{}\" stroke-width=\"{:.2f}\"/>\n", line->x0, line->y0,
-                           line->x1, line->y1, hex(line->color), line->thickness);
+                           line->x1, line->y1, heatmap::hex(line->color), line->thickness);
         } else if (const auto* point = std::get_if<Dot>(&mark)) {
             fmt::format_to(out, "<circle cx=\"{:.2f}\" cy=\"{:.2f}\" r=\"{:.2f}\" fill=\"{}\" stroke=\"#fff\"/>\n", point->x, point->y, dot,
-                           hex(point->color));
+                           heatmap::hex(point->color));
         } else if (const auto* text = std::get_if<Text>(&mark)) {
             const char* anchor = text->anchor == Anchor::left ? "start" : text->anchor == Anchor::center ? "middle" : "end";
             fmt::format_to(out, "<text x=\"{:.2f}\" y=\"{:.2f}\" font-size=\"{:.2f}\" fill=\"{}\" text-anchor=\"{}\"{}>{}</text>\n", text->x,
-                           text->y, text->size, hex(text->color), anchor, text->weight == Weight::bold ? " font-weight=\"bold\"" : "",
+                           text->y, text->size, heatmap::hex(text->color), anchor, text->weight == Weight::bold ? " font-weight=\"bold\"" : "",
                            heatmap::escape_xml(text->text));
         }
     }

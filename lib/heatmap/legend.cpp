@@ -13,7 +13,7 @@ constexpr int smallest_map = 192;
 constexpr int tallest_drawn = 16384;
 constexpr double smallest_text = 11;
 constexpr std::size_t longest_line = 64;
-constexpr Rgb8 ink{34, 34, 34}, quiet_ink{85, 85, 85}, outline{64, 64, 64};
+constexpr Rgb8 dark_ink{34, 34, 34}, quiet_ink{85, 85, 85}, outline{64, 64, 64};
 
 struct NoteLine {
     std::string name, value;  ///< without a value the name has the whole line
@@ -116,7 +116,7 @@ Result<Picture> draw_legend(const ColorMap& map, const Legend& legend, int map_h
     auto canvas = Canvas::make(width, map_height);
     if (!canvas) return canvas.error();
     const double left = margin;
-    if (!title.empty()) canvas->text(left, title_baseline, title, em, ink, Weight::bold);
+    if (!title.empty()) canvas->text(left, title_baseline, title, em, dark_ink, Weight::bold);
 
     // The bar with its pointed ends, `outset` pixels larger on every side: drawn once as the outline, once as what it holds.
     const double slope = std::hypot(bar_width / 2, point) / (bar_width / 2);  // rise of a point's tip per pixel of outset
@@ -159,14 +159,14 @@ Result<Picture> draw_legend(const ColorMap& map, const Legend& legend, int map_h
         canvas->fill(left + bar_width + rule, mark, tick - rule, rule, outline);
         // Digits of DejaVu Sans are 0.729 em high.
         if (labelled[i])
-            canvas->text(left + label_right, y + 0.365 * em, labels.text[i], em, ink, Weight::regular, Anchor::right);
+            canvas->text(left + label_right, y + 0.365 * em, labels.text[i], em, dark_ink, Weight::regular, Anchor::right);
     }
     if (!labels.multiplier.empty())
-        canvas->text(left + label_left, multiplier_baseline, labels.multiplier, note_em, ink);
+        canvas->text(left + label_left, multiplier_baseline, labels.multiplier, note_em, dark_ink);
     if (legend.no_value) {
         canvas->frame(left, key_top, bar_width, key_height, rule, outline);
         canvas->fill(left, key_top, bar_width, key_height, ColorMap::no_value);
-        canvas->text(left + label_left, key_top + key_height / 2 + 0.28 * note_em, no_value, note_em, ink);
+        canvas->text(left + label_left, key_top + key_height / 2 + 0.28 * note_em, no_value, note_em, dark_ink);
     }
     for (std::size_t i = 0; i < notes.size(); ++i) {
         const double y = note_baseline + note_pitch * static_cast<double>(i);

@@ -14,9 +14,9 @@ namespace spectex {
 namespace {
 
 constexpr double limit = 1e300;
-constexpr double width = 860, plot_height = 380;
+constexpr double page_width = 860, plot_height = 380;
 constexpr double margin = 22, strip_height = 12;
-constexpr double title_px = 17, axis_px = 13.5, tick_px = 12.5, legend_px = 13;
+constexpr double heading_px = 17, axis_title_px = 13.5, tick_label_px = 12.5, entry_px = 13;
 constexpr std::size_t longest_title = 80, longest_axis_label = 48, longest_label = 64;
 constexpr std::size_t most_description = 1000;
 // Beyond, dots touch and hide the line; beyond half of that their white rims would cut it into dashes.
@@ -123,8 +123,6 @@ Result<std::vector<Rgb8>> spectrum_colors(std::span<const double> wavelengths_nm
 
 bool has_markers(const Curve& curve) { return curve.markers && curve.values.size() <= most_markers; }
 
-std::string hex(Rgb8 c) { return fmt::format("#{:02x}{:02x}{:02x}", c[0], c[1], c[2]); }
-
 /// Escaped text with the notation's subscripts as tspans.
 std::string marked_up(const std::string& clean, double size_px) {
     std::string out;
@@ -179,16 +177,16 @@ Result<std::string> plot_spectra_svg(std::span<const Curve> curves, std::string_
     const std::string y_title = heatmap::elide(heatmap::clean_utf8(y_label), longest_axis_label);
 
     double y_label_width = 0;
-    for (const auto& text : y_labels.text) y_label_width = std::max(y_label_width, measure_text(text, tick_px).width);
-    const double left = std::ceil(margin + (y_title.empty() ? 0 : axis_px + 12) + y_label_width + 9);
-    const double right = width - margin - 8;
+    for (const auto& text : y_labels.text) y_label_width = std::max(y_label_width, measure_text(text, tick_label_px).width);
+    const double left = std::ceil(margin + (y_title.empty() ? 0 : axis_title_px + 12) + y_label_width + 9);
+    const double right = page_width - margin - 8;
 
     std::vector<Entry> entries;
     double row = 0, x = left;
     for (const auto& curve : curves) {
         if (curve.label.empty()) continue;
         Entry entry{heatmap::elide(heatmap::clean_utf8(curve.label), longest_label), curve.color, has_markers(curve)};
-        const double entry_width = swatch + swatch_gap + measure_text(entry.label, legend_px).width;
+        const double entry_width = swatch + swatch_gap + measure_text(entry.label, entry_px).width;
         if (x > left && x + entry_width > right) {
             row += 1;
             x = left;
@@ -202,11 +200,11 @@ Result<std::string> plot_spectra_svg(std::span<const Curve> curves, std::string_
     double y = margin;
     double title_y = 0, legend_y = 0, multiplier_y = 0;
     // A wide title is set smaller rather than cut off.
-    double title_size = title_px;
+    double title_size = heading_px;
     if (!heading.empty()) {
-        const double natural = measure_text(heading, title_px, Weight::bold).width;
-        title_size = title_px * std::min(1.0, (right - left) / natural);
-        title_y = y + 0.75 * title_px;
+        const double natural = measure_text(heading, heading_px, Weight::bold).width;
+        title_size = heading_px * std::min(1.0, (right - left) / natural);
+        title_y = y + 0.75 * heading_px;
         y = title_y + 15;
     }
     if (!entries.empty()) {
@@ -214,11 +212,11 @@ Result<std::string> plot_spectra_svg(std::span<const Curve> curves, std::string_
         y += row_height * (row + 1) + 6;
     }
     if (!y_labels.multiplier.empty()) {
-        multiplier_y = y + tick_px * 0.5 + (entries.empty() ? 0 : 6);
+        multiplier_y = y + tick_label_px * 0.5 + (entries.empty() ? 0 : 6);
         y = multiplier_y + 6;
     }
     const double top = std::round(y + 6), bottom = top + plot_height, strip_bottom = bottom + strip_height;
-    const double x_tick_y = strip_bottom + 5 + 0.95 * tick_px, x_title_y = x_tick_y + 24;
+    const double x_tick_y = strip_bottom + 5 + 0.95 * tick_label_px, x_title_y = x_tick_y + 24;
     const double height = std::ceil(x_title_y + margin * 0.7);
     const double plot_width = right - left;
 
@@ -238,17 +236,17 @@ Result<std::string> plot_spectra_svg(std::span<const Curve> curves, std::string_
                    "<?xml version=\"1.0\" encoding=\"UTF-8\"?>\n"
                    "<svg xmlns=\"http://www.w3.org/2000/svg\" width=\"{0:.0f}\" height=\"{1:.0f}\" viewBox=\"0 0 {0:.0f} "
                    "{1:.0f}\" font-family=\"'DejaVu Sans', Verdana, 'Segoe UI', sans-serif\" fill=\"#222\" xml:space=\"preserve\">\n",
-                   width, height);
+                   page_width, height);
     if (!full_title.empty())
         fmt::format_to(out, "<title>{}</title>\n", heatmap::escape_xml(heatmap::elide(full_title, most_description)));
-    fmt::format_to(out, "<rect width=\"{:.0f}\" height=\"{:.0f}\" fill=\"#fff\"/>\n", width, height);
+    fmt::format_to(out, "<rect width=\"{:.0f}\" height=\"{:.0f}\" fill=\"#fff\"/>\n", page_width, height);
 
     // The range in the name keeps the gradients of several plots in one page apart.
     const std::string gradient = fmt::format("spectrum-{:.6g}-{:.6g}", x_range.low, x_range.high);
     fmt::format_to(out, "<defs><linearGradient id=\"{}\">", gradient);
     for (int i = 0; i <= stops; ++i)
         fmt::format_to(out, "<stop offset=\"{:.4f}\" stop-color=\"{}\"/>", static_cast<double>(i) / stops,
-                       hex((*colors)[static_cast<std::size_t>(i)]));
+                       heatmap::hex((*colors)[static_cast<std::size_t>(i)]));
     fmt::format_to(out, "</linearGradient></defs>\n");
 
     if (!heading.empty())
@@ -256,18 +254,18 @@ Result<std::string> plot_spectra_svg(std::span<const Curve> curves, std::string_
                        left, title_y, title_size, marked_up(heading, title_size));
 
     if (!entries.empty()) {
-        fmt::format_to(out, "<g id=\"legend\" font-size=\"{:.2f}\">\n", legend_px);
+        fmt::format_to(out, "<g id=\"legend\" font-size=\"{:.2f}\">\n", entry_px);
         for (const auto& entry : entries) {
             const double ey = legend_y + entry.row * row_height;
             fmt::format_to(out,
                            "<path d=\"M{:.2f} {:.2f}h{:.2f}\" stroke=\"{}\" stroke-width=\"2.4\" "
                            "stroke-linecap=\"round\"/>",
-                           entry.x, ey, swatch, hex(entry.color));
+                           entry.x, ey, swatch, heatmap::hex(entry.color));
             if (entry.markers)
                 fmt::format_to(out, "<circle cx=\"{:.2f}\" cy=\"{:.2f}\" r=\"3.2\" fill=\"{}\" stroke=\"#fff\"/>",
-                               entry.x + swatch / 2, ey, hex(entry.color));
+                               entry.x + swatch / 2, ey, heatmap::hex(entry.color));
             fmt::format_to(out, "<text x=\"{:.2f}\" y=\"{:.2f}\">{}</text>\n", entry.x + swatch + swatch_gap,
-                           ey + 0.365 * legend_px, marked_up(entry.label, legend_px));
+                           ey + 0.365 * entry_px, marked_up(entry.label, entry_px));
         }
         fmt::format_to(out, "</g>\n");
     }
@@ -285,23 +283,23 @@ Result<std::string> plot_spectra_svg(std::span<const Curve> curves, std::string_
 
     fmt::format_to(out, "<g id=\"axes\" font-size=\"{:.2f}\">\n<path d=\"M{:.2f} {:.2f}V{:.2f}H{:.2f}\" fill=\"none\" "
                         "stroke=\"#444\"/>\n<g text-anchor=\"middle\">",
-                   tick_px, left, top, bottom, right);
+                   tick_label_px, left, top, bottom, right);
     for (std::size_t i = 0; i < x_ticks.size(); ++i)
         fmt::format_to(out, "<path d=\"M{0:.2f} {1:.2f}v4\" stroke=\"#444\"/><text x=\"{0:.2f}\" y=\"{2:.2f}\">{3}</text>",
                        px(x_ticks[i]), strip_bottom, x_tick_y, x_labels.text[i]);
     fmt::format_to(out, "</g>\n<g text-anchor=\"end\">");
     for (std::size_t i = 0; i < y_ticks.size(); ++i)
         fmt::format_to(out, "<path d=\"M{:.2f} {:.2f}h-4\" stroke=\"#444\"/><text x=\"{:.2f}\" y=\"{:.2f}\">{}</text>", left,
-                       py(y_ticks[i]), left - 8, py(y_ticks[i]) + 0.365 * tick_px, y_labels.text[i]);
+                       py(y_ticks[i]), left - 8, py(y_ticks[i]) + 0.365 * tick_label_px, y_labels.text[i]);
     fmt::format_to(out, "</g>\n");
     if (!y_labels.multiplier.empty())
         fmt::format_to(out, "<text x=\"{:.2f}\" y=\"{:.2f}\">{}</text>\n", left, multiplier_y, y_labels.multiplier);
     fmt::format_to(out, "<text x=\"{:.2f}\" y=\"{:.2f}\" font-size=\"{:.2f}\" text-anchor=\"middle\">Wavelength{} [nm]</text>\n",
-                   (left + right) / 2, x_title_y, axis_px, x_labels.multiplier.empty() ? "" : " " + x_labels.multiplier);
+                   (left + right) / 2, x_title_y, axis_title_px, x_labels.multiplier.empty() ? "" : " " + x_labels.multiplier);
     if (!y_title.empty()) {
-        const double natural = measure_text(y_title, axis_px).width;
-        const double size = axis_px * std::min(1.0, plot_height / natural);
-        const double tx = margin + 0.5 * axis_px, ty = (top + bottom) / 2;
+        const double natural = measure_text(y_title, axis_title_px).width;
+        const double size = axis_title_px * std::min(1.0, plot_height / natural);
+        const double tx = margin + 0.5 * axis_title_px, ty = (top + bottom) / 2;
         fmt::format_to(out, "<text transform=\"translate({:.2f} {:.2f}) rotate(-90)\" font-size=\"{:.2f}\" "
                             "text-anchor=\"middle\">{}</text>\n",
                        tx, ty, size, marked_up(y_title, size));
@@ -323,9 +321,9 @@ Result<std::string> plot_spectra_svg(std::span<const Curve> curves, std::string_
             if (markers || (starts && !drawn(i + 1)))
                 fmt::format_to(std::back_inserter(dots), "<circle cx=\"{:.2f}\" cy=\"{:.2f}\" r=\"{:.2f}\"/>", cx, cy, radius);
         }
-        if (!path.empty()) fmt::format_to(out, "<path d=\"{}\" stroke=\"{}\"/>\n", path, hex(curve.color));
+        if (!path.empty()) fmt::format_to(out, "<path d=\"{}\" stroke=\"{}\"/>\n", path, heatmap::hex(curve.color));
         if (!dots.empty())
-            fmt::format_to(out, "<g fill=\"{}\" stroke=\"#fff\" stroke-width=\"{:.2f}\">{}</g>\n", hex(curve.color),
+            fmt::format_to(out, "<g fill=\"{}\" stroke=\"#fff\" stroke-width=\"{:.2f}\">{}</g>\n", heatmap::hex(curve.color),
                            rims ? 1.0 : 0.0, dots);
     }
     fmt::format_to(out, "</g>\n</svg>\n");

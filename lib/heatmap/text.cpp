@@ -118,6 +118,8 @@ std::string superscript(int value) {
     return out;
 }
 
+std::string hex(const Rgb8& color) { return fmt::format("#{:02x}{:02x}{:02x}", color[0], color[1], color[2]); }
+
 }  // namespace spectex::heatmap
 
 namespace spectex {

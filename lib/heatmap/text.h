@@ -5,6 +5,8 @@
 #include <string_view>
 #include <vector>
 
+#include "spectex/heatmap.h"
+
 namespace spectex::heatmap {
 
 /// Valid UTF-8 in which each malformed byte and each code point that XML 1.0 excludes is U+FFFD, and each control
@@ -31,6 +33,9 @@ constexpr double subscript_drop = 0.2;  ///< of the text size, downwards
 
 /// A signed whole number in Unicode superscripts.
 std::string superscript(int value);
+
+/// #rrggbb
+std::string hex(const Rgb8& color);
 
 constexpr const char* font_family = "DejaVu Sans";
 

@@ -4,20 +4,11 @@
 #include <algorithm>
 #include <mutex>
 
+#include "io/oiio_type.h"
 #include "io/png.h"
 
 namespace spectex::io {
 namespace {
-
-OIIO::TypeDesc oiio_type(PixelType type) {
-    switch (type) {
-        case PixelType::uint8: return OIIO::TypeUInt8;
-        case PixelType::uint16: return OIIO::TypeUInt16;
-        case PixelType::half: return OIIO::TypeHalf;
-        case PixelType::float32: break;
-    }
-    return OIIO::TypeFloat;
-}
 
 PixelType nearest_wider(OIIO::TypeDesc type) {
     switch (type.basetype) {

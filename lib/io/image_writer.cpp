@@ -8,20 +8,11 @@
 #include <set>
 
 #include "io/exr_stream.h"
+#include "io/oiio_type.h"
 #include "io/png.h"
 
 namespace spectex::io {
 namespace {
-
-OIIO::TypeDesc oiio_type(PixelType type) {
-    switch (type) {
-        case PixelType::uint8: return OIIO::TypeUInt8;
-        case PixelType::uint16: return OIIO::TypeUInt16;
-        case PixelType::half: return OIIO::TypeHalf;
-        case PixelType::float32: break;
-    }
-    return OIIO::TypeFloat;
-}
 
 // What a format holds, in the order of preference for integers and for floats.
 struct Format {

@@ -3,6 +3,7 @@
 
 #include <array>
 #include <cerrno>
+#include <cstdint>
 #include <cstring>
 #include <exception>
 #include <new>
@@ -24,6 +25,11 @@ inline Error output_error(std::string_view path, std::string_view what) {
     return {ErrorKind::output, fmt::format("{}: {}", path, what)};
 }
 std::string errno_text(int code);
+
+/// Four bytes, the most significant first.
+inline std::uint32_t be32(const std::uint8_t* p) {
+    return std::uint32_t{p[0]} << 24 | std::uint32_t{p[1]} << 16 | std::uint32_t{p[2]} << 8 | p[3];
+}
 
 /// Runs `body` and turns whatever it throws into an Error of that kind that names the file.
 template <class Body>

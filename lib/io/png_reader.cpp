@@ -13,10 +13,6 @@
 namespace spectex::io {
 namespace {
 
-std::uint32_t be32(const std::uint8_t* p) {
-    return std::uint32_t{p[0]} << 24 | std::uint32_t{p[1]} << 16 | std::uint32_t{p[2]} << 8 | p[3];
-}
-
 std::uint8_t byte(int v) { return static_cast<std::uint8_t>(v); }
 
 // Section 9.2: filter types 0 to 4; B is the distance to the pixel on the left.

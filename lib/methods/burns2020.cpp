@@ -154,7 +154,7 @@ private:
     std::vector<double> slope_;  ///< [bands - 1], weight of each squared difference
 };
 
-ModelResult make(const MethodInfo& info, const Colorimetry& colorimetry) {
+ModelResult make_log_slopes(const MethodInfo& info, const Colorimetry& colorimetry) {
     const std::size_t bands = colorimetry.bands().size();
     const auto infeasible = [&](std::string why) {
         return Error{ErrorKind::infeasible, fmt::format("{}: {} ({})", info.id, why, colorimetry.describe())};
@@ -176,8 +176,8 @@ ModelResult make(const MethodInfo& info, const Colorimetry& colorimetry) {
     return std::shared_ptr<const Model>(std::move(model));
 }
 
-ModelResult read(const MethodInfo& info, const Colorimetry& colorimetry, const Json&) {
-    auto made = make(info, colorimetry);
+ModelResult read_log_slopes(const MethodInfo& info, const Colorimetry& colorimetry, const Json&) {
+    auto made = make_log_slopes(info, colorimetry);
     if (!made) return Error{ErrorKind::input, "model: " + made.error().message};
     return made;
 }
@@ -192,7 +192,7 @@ Entry burns2020() {
     info.pieces = Pieces::nonlinear;
     info.exact = true;
     info.bounded = true;
-    return {std::move(info), make, read};
+    return {std::move(info), make_log_slopes, read_log_slopes};
 }
 
 }  // namespace spectex::registry

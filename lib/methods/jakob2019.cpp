@@ -556,7 +556,7 @@ ModelResult make_tabulated(const MethodInfo& info, const Colorimetry& colorimetr
 }
 
 template <ModelResult (*make)(const MethodInfo&, const Colorimetry&)>
-ModelResult read(const MethodInfo& info, const Colorimetry& colorimetry, const Json& json) {
+ModelResult read_sigmoid(const MethodInfo& info, const Colorimetry& colorimetry, const Json& json) {
     const auto at = json.find("sigmoid");
     if (at == json.end() || !at->is_object()) return Error{ErrorKind::input, "model: member 'sigmoid': missing"};
     for (const auto& [member, expected] : {std::pair{"origin_nm", jakob2019::origin_nm}, {"unit_nm", jakob2019::unit_nm}}) {
@@ -567,7 +567,7 @@ ModelResult read(const MethodInfo& info, const Colorimetry& colorimetry, const J
     return make(info, colorimetry);
 }
 
-MethodInfo described(std::string id, std::string title, bool exact) {
+MethodInfo sigmoid_info(std::string id, std::string title, bool exact) {
     MethodInfo info;
     info.id = std::move(id);
     info.title = std::move(title);
@@ -582,11 +582,11 @@ MethodInfo described(std::string id, std::string title, bool exact) {
 }  // namespace
 
 Entry jakob2019() {
-    return {described("jakob2019", "Sigmoid of a quadratic, solved per colour", true), make_refined, read<make_refined>};
+    return {sigmoid_info("jakob2019", "Sigmoid of a quadratic, solved per colour", true), make_refined, read_sigmoid<make_refined>};
 }
 Entry jakob2019_table() {
-    return {described("jakob2019:table", "Sigmoid of a quadratic, interpolated in the 64^3 table", false), make_tabulated,
-            read<make_tabulated>};
+    return {sigmoid_info("jakob2019:table", "Sigmoid of a quadratic, interpolated in the 64^3 table", false), make_tabulated,
+            read_sigmoid<make_tabulated>};
 }
 
 }  // namespace spectex::registry

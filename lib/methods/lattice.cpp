@@ -166,7 +166,7 @@ ModelResult make_lattice(const MethodInfo& info, const Colorimetry& colorimetry)
     return make_from(info, colorimetry, *from);
 }
 
-ModelResult read_lattice(const MethodInfo& info, const Colorimetry& colorimetry, const Json& json) {
+ModelResult read_vertices(const MethodInfo& info, const Colorimetry& colorimetry, const Json& json) {
     const auto hash = read_text(json, "table");
     if (!hash) return hash.error();
     const auto from = origin(colorimetry);
@@ -192,7 +192,7 @@ Entry lattice() {
     info.exact = true;
     info.bounded = true;
     info.coefficients = 3;
-    return {info, make_lattice, read_lattice, train_lattice};
+    return {info, make_lattice, read_vertices, train_lattice};
 }
 
 }  // namespace spectex::registry

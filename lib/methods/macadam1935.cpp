@@ -38,7 +38,7 @@ struct Facet {
     }
 };
 
-double cross(const std::array<double, 2>& a, const std::array<double, 2>& b, const std::array<double, 2>& c) {
+double turn(const std::array<double, 2>& a, const std::array<double, 2>& b, const std::array<double, 2>& c) {
     return (b[0] - a[0]) * (c[1] - b[1]) - (b[1] - a[1]) * (c[0] - b[0]);
 }
 
@@ -47,7 +47,7 @@ public:
     BoxModel(const MethodInfo& info, const Colorimetry& colorimetry) : Model(info, colorimetry) {
         make_groups();
         const std::size_t m = columns_.size();
-        if (m < 3) return;  // make() refuses it
+        if (m < 3) return;  // make_boxes() refuses it
         sums_.assign(2 * m + 1, Vector3{});
         for (std::size_t k = 0; k < 2 * m; ++k)
             for (std::size_t c = 0; c < 3; ++c) sums_[k + 1][c] = sums_[k][c] + columns_[k % m][c];
@@ -158,7 +158,7 @@ private:
         const auto breaks = [&](std::size_t k) {
             const std::size_t m = groups.size();
             // The locus runs clockwise in (x, y). 1e-12 is a turn that rounding of the weights could make.
-            return !(cross(groups[(k + m - 1) % m].xy(), groups[k].xy(), groups[(k + 1) % m].xy()) < -1e-12);
+            return !(turn(groups[(k + m - 1) % m].xy(), groups[k].xy(), groups[(k + 1) % m].xy()) < -1e-12);
         };
         for (std::size_t k = 0; k < groups.size() && groups.size() > 3;) {
             if (!breaks(k)) {
@@ -261,7 +261,7 @@ private:
     std::vector<std::array<std::uint32_t, 2>> starts_;
 };
 
-ModelResult make(const MethodInfo& info, const Colorimetry& colorimetry) {
+ModelResult make_boxes(const MethodInfo& info, const Colorimetry& colorimetry) {
     const std::size_t bands = colorimetry.bands().size();
     const auto infeasible = [&](std::string why) {
         return Error{ErrorKind::infeasible, fmt::format("{}: {} ({})", info.id, why, colorimetry.describe())};
@@ -286,8 +286,8 @@ ModelResult make(const MethodInfo& info, const Colorimetry& colorimetry) {
     return std::shared_ptr<const Model>(std::move(model));
 }
 
-ModelResult read(const MethodInfo& info, const Colorimetry& colorimetry, const Json&) {
-    auto made = make(info, colorimetry);
+ModelResult read_boxes(const MethodInfo& info, const Colorimetry& colorimetry, const Json&) {
+    auto made = make_boxes(info, colorimetry);
     if (!made) return Error{ErrorKind::input, "model: " + made.error().message};
     return made;
 }
@@ -302,7 +302,7 @@ Entry macadam1935() {
     info.pieces = Pieces::nonlinear;
     info.exact = true;
     info.bounded = true;
-    return {std::move(info), make, read};
+    return {std::move(info), make_boxes, read_boxes};
 }
 
 }  // namespace spectex::registry

@@ -14,7 +14,7 @@
 namespace spectex::registry {
 namespace {
 
-constexpr std::string_view published_lut = "models/mallett2019_published_380-780-5.csv";
+constexpr std::string_view published_primaries_lut = "models/mallett2019_published_380-780-5.csv";
 
 class LinearModel final : public Model {
 public:
@@ -90,9 +90,9 @@ Status check_published(const MethodInfo& info, const Colorimetry& colorimetry) {
 
 ModelResult make_published(const MethodInfo& info, const Colorimetry& colorimetry) {
     if (auto fits = check_published(info, colorimetry); !fits) return fits.error();
-    auto table = load_spectral_table(published_lut);
+    auto table = load_spectral_table(published_primaries_lut);
     if (!table) return std::move(table).error();
-    if (table->columns.size() != 3) return Error{ErrorKind::input, fmt::format("{}: expected columns r, g, b", published_lut)};
+    if (table->columns.size() != 3) return Error{ErrorKind::input, fmt::format("{}: expected columns r, g, b", published_primaries_lut)};
     std::vector<double> basis;
     for (auto& column : table->columns) {
         const auto spectrum = SpectralDistribution::make(table->wavelengths_nm, std::move(column));
@@ -117,7 +117,7 @@ ModelResult read_published(const MethodInfo& info, const Colorimetry& colorimetr
     return std::shared_ptr<const Model>(std::make_shared<LinearModel>(info, colorimetry, *std::move(basis)));
 }
 
-MethodInfo described(std::string id, std::string title, bool exact, bool bounded) {
+MethodInfo primaries_info(std::string id, std::string title, bool exact, bool bounded) {
     MethodInfo info;
     info.id = std::move(id);
     info.title = std::move(title);
@@ -132,12 +132,12 @@ MethodInfo described(std::string id, std::string title, bool exact, bool bounded
 }  // namespace
 
 Entry mallett2019() {
-    return {described("mallett2019", "Spectral primaries, solved to the optimum", true, true), make_solved, read_solved};
+    return {primaries_info("mallett2019", "Spectral primaries, solved to the optimum", true, true), make_solved, read_solved};
 }
 
 Entry mallett2019_published() {
     // Not bounded: the table's rows reach a sum of 1 + 6e-9, so that a white exceeds 1 by as much.
-    return {described("mallett2019:published", "Spectral primaries, the published table", false, false), make_published,
+    return {primaries_info("mallett2019:published", "Spectral primaries, the published table", false, false), make_published,
             read_published};
 }
 

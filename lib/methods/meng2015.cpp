@@ -261,7 +261,7 @@ Result<Grid> make_grid(const MethodInfo& info, const Colorimetry& colorimetry, c
     return grid;
 }
 
-ModelResult make(const MethodInfo& info, const Colorimetry& colorimetry) {
+ModelResult make_grid(const MethodInfo& info, const Colorimetry& colorimetry) {
     const auto light = grid_weights(info, colorimetry);
     auto grid = make_grid(info, colorimetry, light);
     if (!grid) return std::move(grid).error();
@@ -277,7 +277,7 @@ ModelResult make(const MethodInfo& info, const Colorimetry& colorimetry) {
     return std::shared_ptr<const Model>(std::make_shared<MengModel>(info, colorimetry, *std::move(grid), std::move(spectra)));
 }
 
-ModelResult read(const MethodInfo& info, const Colorimetry& colorimetry, const Json& json) {
+ModelResult read_grid(const MethodInfo& info, const Colorimetry& colorimetry, const Json& json) {
     const auto light = grid_weights(info, colorimetry);
     auto grid = make_grid(info, colorimetry, light);
     if (!grid) return Error{ErrorKind::input, "model: " + grid.error().message};
@@ -308,7 +308,7 @@ Entry entry(std::string_view id, std::string title) {
     info.pieces = Pieces::nonlinear;
     info.exact = false;
     info.bounded = true;
-    return {std::move(info), make, read};
+    return {std::move(info), make_grid, read_grid};
 }
 
 }  // namespace

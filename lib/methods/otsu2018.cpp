@@ -316,7 +316,7 @@ ModelResult train(const MethodInfo& info, const Colorimetry& colorimetry, std::s
 }
 
 /// Learning takes a part of a second, once for each light, observer and space that a process has used last.
-ModelResult make(const MethodInfo& info, const Colorimetry& colorimetry) {
+ModelResult make_clusters(const MethodInfo& info, const Colorimetry& colorimetry) {
     const auto working = working_colorimetry(colorimetry);
     if (!working) return working.error();
     static std::mutex mutex;
@@ -341,7 +341,7 @@ ModelResult make(const MethodInfo& info, const Colorimetry& colorimetry) {
     return build(info, colorimetry, *std::move(clusters), ErrorKind::infeasible);
 }
 
-ModelResult read(const MethodInfo& info, const Colorimetry& colorimetry, const Json& json) {
+ModelResult read_clusters(const MethodInfo& info, const Colorimetry& colorimetry, const Json& json) {
     const auto wrong = [](std::string why) { return Error{ErrorKind::input, "model: member 'tree': " + why}; };
     const auto tree = json.find("tree");
     constexpr std::size_t most_nodes = 2 * most_leaves - 1;
@@ -396,7 +396,7 @@ Entry otsu2018() {
     info.pieces = Pieces::nonlinear;
     info.exact = false;
     info.bounded = true;
-    return {std::move(info), make, read, train};
+    return {std::move(info), make_clusters, read_clusters, train};
 }
 
 }  // namespace spectex::registry

@@ -347,14 +347,14 @@ std::vector<double> fit_slopes(const Solver& solver) {
     return out;
 }
 
-ModelResult make(const MethodInfo& info, const Colorimetry& colorimetry) {
+ModelResult make_moments(const MethodInfo& info, const Colorimetry& colorimetry) {
     auto solver = make_solver(info, colorimetry);
     if (!solver) return std::move(solver).error();
     auto slopes = info.id == fourier_id ? fit_slopes(*solver) : std::vector<double>{};
     return std::shared_ptr<const Model>(std::make_shared<MomentModel>(info, colorimetry, *std::move(solver), std::move(slopes)));
 }
 
-ModelResult read(const MethodInfo& info, const Colorimetry& colorimetry, const Json& json) {
+ModelResult read_moments(const MethodInfo& info, const Colorimetry& colorimetry, const Json& json) {
     auto solver = make_solver(info, colorimetry);
     if (!solver) return Error{ErrorKind::input, "model: " + solver.error().message};
     std::vector<double> slopes;
@@ -376,7 +376,7 @@ Entry entry(std::string_view id, std::string title, std::string source) {
     info.pieces = Pieces::nonlinear;
     info.exact = true;
     info.bounded = true;
-    return {std::move(info), make, read};
+    return {std::move(info), make_moments, read_moments};
 }
 
 }  // namespace

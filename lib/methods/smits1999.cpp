@@ -19,7 +19,7 @@
 namespace spectex::registry {
 namespace {
 
-constexpr std::string_view published_lut = "models/smits1999_published.csv";
+constexpr std::string_view seven_spectra_lut = "models/smits1999_published.csv";
 /// In the order of LatticeTable's vertices.
 constexpr std::array<std::string_view, 8> vertex_names{"black", "blue", "green", "cyan", "red", "magenta", "yellow", "white"};
 
@@ -77,16 +77,16 @@ double hat_integral(double left, double centre, double right, double from, doubl
     return up_to(to) - up_to(from);
 }
 
-Status check_published(const MethodInfo& info, const Colorimetry& colorimetry) {
+Status check_monitor(const MethodInfo& info, const Colorimetry& colorimetry) {
     if (colorimetry.rgb_space().name == "BT.709") return {};
     return Error{ErrorKind::usage, fmt::format("{}: the published table is for monitors like BT.709, not {}; smits1999:exact solves "
                                                "for any space",
                                                info.id, colorimetry.rgb_space().name)};
 }
 
-ModelResult make_published(const MethodInfo& info, const Colorimetry& colorimetry) {
-    if (auto fits = check_published(info, colorimetry); !fits) return fits.error();
-    const auto file = load_spectral_table(published_lut);
+ModelResult make_classic(const MethodInfo& info, const Colorimetry& colorimetry) {
+    if (auto fits = check_monitor(info, colorimetry); !fits) return fits.error();
+    const auto file = load_spectral_table(seven_spectra_lut);
     if (!file) return file.error();
     const auto& centres = file->wavelengths_nm;
     const BandSet& bands = colorimetry.bands();
@@ -95,7 +95,7 @@ ModelResult make_published(const MethodInfo& info, const Colorimetry& colorimetr
     for (std::size_t v = 1; v < 8; ++v) {
         const auto column = std::find(file->names.begin(), file->names.end(), vertex_names[v]);
         if (column == file->names.end() || centres.size() < 2)
-            return Error{ErrorKind::input, fmt::format("{}: expected a column {} of at least two bins", published_lut, vertex_names[v])};
+            return Error{ErrorKind::input, fmt::format("{}: expected a column {} of at least two bins", seven_spectra_lut, vertex_names[v])};
         const auto& values = file->columns[static_cast<std::size_t>(column - file->names.begin())];
         // A band is the mean of the bins' steps under the band's own kernel; the outer bins reach on for ever.
         for (std::size_t b = 0; b < n; ++b) {
@@ -112,8 +112,8 @@ ModelResult make_published(const MethodInfo& info, const Colorimetry& colorimetr
     return std::shared_ptr<const Model>(std::make_shared<TetrahedralModel>(info, colorimetry, std::move(table)));
 }
 
-ModelResult read_published(const MethodInfo& info, const Colorimetry& colorimetry, const Json& json) {
-    if (auto fits = check_published(info, colorimetry); !fits) return fits.error();
+ModelResult read_classic(const MethodInfo& info, const Colorimetry& colorimetry, const Json& json) {
+    if (auto fits = check_monitor(info, colorimetry); !fits) return fits.error();
     // The table's largest entry is 1.0149.
     auto table = read_lattice(colorimetry, json, 0, 1.015, -1);
     if (!table) return std::move(table).error();
@@ -121,7 +121,7 @@ ModelResult read_published(const MethodInfo& info, const Colorimetry& colorimetr
     return std::shared_ptr<const Model>(std::make_shared<TetrahedralModel>(info, colorimetry, *std::move(table)));
 }
 
-MethodInfo described(std::string id, std::string title, bool exact) {
+MethodInfo seven_spectra_info(std::string id, std::string title, bool exact) {
     MethodInfo info;
     info.id = std::move(id);
     info.title = std::move(title);
@@ -134,10 +134,10 @@ MethodInfo described(std::string id, std::string title, bool exact) {
 
 }  // namespace
 
-Entry smits1999() { return {described("smits1999", "Seven spectra, the published table", false), make_published, read_published}; }
+Entry smits1999() { return {seven_spectra_info("smits1999", "Seven spectra, the published table", false), make_classic, read_classic}; }
 
 Entry smits1999_exact() {
-    return {described("smits1999:exact", "Seven spectra, each the smoothest exact one", true), make_exact, read_exact};
+    return {seven_spectra_info("smits1999:exact", "Seven spectra, each the smoothest exact one", true), make_exact, read_exact};
 }
 
 }  // namespace spectex::registry

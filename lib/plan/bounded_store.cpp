@@ -13,13 +13,13 @@
 namespace spectex {
 namespace {
 
-constexpr std::size_t block_pixels = 1024;
+constexpr std::size_t checked_at_once = 1024;
 
 /// Colours are checked as floats, whose rounding moves a CIE76 by less than this; a bound is kept with so much room.
 constexpr double check_room = 1e-4;
 
 std::array<float*, 3> three(std::vector<float>& v, std::size_t group) {
-    return {&v[(3 * group) * block_pixels], &v[(3 * group + 1) * block_pixels], &v[(3 * group + 2) * block_pixels]};
+    return {&v[(3 * group) * checked_at_once], &v[(3 * group + 1) * checked_at_once], &v[(3 * group + 2) * checked_at_once]};
 }
 std::array<const float*, 3> constant(const std::array<float*, 3>& p) { return {p[0], p[1], p[2]}; }
 
@@ -77,18 +77,18 @@ void BoundedStore::Outcome::add(const Outcome& other) {
 }
 
 struct BoundedStore::Workspace {
-    std::vector<float> exact, rounded;      // [stored][block_pixels], the pixels still undecided first
-    std::vector<float> expected, got;       // [checks][3][block_pixels]
-    std::vector<float> errors;              // [checks][block_pixels]
-    std::vector<std::uint16_t> halves;      // [stored][block_pixels]
+    std::vector<float> exact, rounded;      // [stored][checked_at_once], the pixels still undecided first
+    std::vector<float> expected, got;       // [checks][3][checked_at_once]
+    std::vector<float> errors;              // [checks][checked_at_once]
+    std::vector<std::uint16_t> halves;      // [stored][checked_at_once]
     std::vector<std::uint32_t> undecided;   // their places in the block
     std::vector<std::uint32_t> held, failed;  // of the undecided, by the last check
     std::vector<std::vector<float>> coefficients;
 
     Workspace(std::size_t stored, std::size_t checks)
-        : exact(stored * block_pixels), rounded(stored * block_pixels), expected(3 * checks * block_pixels),
-          got(3 * checks * block_pixels), errors(checks * block_pixels), halves(stored * block_pixels),
-          undecided(block_pixels), held(block_pixels), failed(block_pixels) {}
+        : exact(stored * checked_at_once), rounded(stored * checked_at_once), expected(3 * checks * checked_at_once),
+          got(3 * checks * checked_at_once), errors(checks * checked_at_once), halves(stored * checked_at_once),
+          undecided(checked_at_once), held(checked_at_once), failed(checked_at_once) {}
 };
 
 std::optional<BoundedStore::Failure> BoundedStore::store(std::array<const float*, 3> rgb, std::size_t n,
@@ -105,8 +105,8 @@ std::optional<BoundedStore::Failure> BoundedStore::store(std::array<const float*
     std::vector<float*> exact(stored), rounded(stored);
     std::vector<std::byte*> exact_bytes(stored);
     for (std::size_t i = 0; i < stored; ++i) {
-        exact[i] = &w.exact[i * block_pixels];
-        rounded[i] = &w.rounded[i * block_pixels];
+        exact[i] = &w.exact[i * checked_at_once];
+        rounded[i] = &w.rounded[i * checked_at_once];
         exact_bytes[i] = reinterpret_cast<std::byte*>(exact[i]);
         in[i] = exact[i];
         tried[i] = rounded[i];
@@ -127,22 +127,22 @@ std::optional<BoundedStore::Failure> BoundedStore::store(std::array<const float*
         exact_.reproject(tried_bytes, m, three(w.got, 0));
         if (relit_) relit_->execute(tried, m, relit_out);
         for (std::size_t c = 0; c < checks; ++c)
-            kernels_[c](constant(three(w.expected, c)), constant(three(w.got, c)), m, &w.errors[c * block_pixels]);
+            kernels_[c](constant(three(w.expected, c)), constant(three(w.got, c)), m, &w.errors[c * checked_at_once]);
     };
     const auto holds = [&](std::size_t p) {
         for (std::size_t c = 0; c < checks; ++c)
-            if (!(w.errors[c * block_pixels + p] <= inner_)) return false;
+            if (!(w.errors[c * checked_at_once + p] <= inner_)) return false;
         return true;
     };
     const auto note = [&](std::size_t p, int bits) {
         ++outcome.kept_bits[static_cast<std::size_t>(bits)];
         for (std::size_t c = 0; c < checks; ++c)
-            outcome.worst[c] = std::max(outcome.worst[c], static_cast<double>(w.errors[c * block_pixels + p]));
+            outcome.worst[c] = std::max(outcome.worst[c], static_cast<double>(w.errors[c * checked_at_once + p]));
     };
     /// The first `m` pixels of `rounded` as the type stores them, which loses nothing more.
     const auto finish = [&](std::size_t m) {
         if (!half) return;
-        for (std::size_t i = 0; i < stored; ++i) kernels::float_to_half(rounded[i], m, &w.halves[i * block_pixels], 1);
+        for (std::size_t i = 0; i < stored; ++i) kernels::float_to_half(rounded[i], m, &w.halves[i * checked_at_once], 1);
     };
     /// The pixels w.held of `rounded` to their places: row by row, since the rows' distance, a power of two, would put all
     /// samples of a pixel into one set of the cache.
@@ -150,7 +150,7 @@ std::optional<BoundedStore::Failure> BoundedStore::store(std::array<const float*
         for (std::size_t i = 0; i < stored; ++i) {
             if (half) {
                 auto* const out = reinterpret_cast<std::uint16_t*>(planes[i]) + begin;
-                for (std::size_t j = 0; j < held; ++j) out[w.undecided[w.held[j]]] = w.halves[i * block_pixels + w.held[j]];
+                for (std::size_t j = 0; j < held; ++j) out[w.undecided[w.held[j]]] = w.halves[i * checked_at_once + w.held[j]];
             } else {
                 auto* const out = reinterpret_cast<float*>(planes[i]) + begin;
                 for (std::size_t j = 0; j < held; ++j) out[w.undecided[w.held[j]]] = rounded[i][w.held[j]];
@@ -163,12 +163,12 @@ std::optional<BoundedStore::Failure> BoundedStore::store(std::array<const float*
             for (std::size_t j = 0; j < failed; ++j) values[j] = values[w.failed[j]];
         };
         for (std::size_t i = 0; i < stored; ++i) row(exact[i]);
-        for (std::size_t i = 0; i < 3 * checks; ++i) row(&w.expected[i * block_pixels]);
+        for (std::size_t i = 0; i < 3 * checks; ++i) row(&w.expected[i * checked_at_once]);
         row(w.undecided.data());
     };
 
-    for (std::size_t begin = 0; begin < n; begin += block_pixels) {
-        const std::size_t count = std::min(block_pixels, n - begin);
+    for (std::size_t begin = 0; begin < n; begin += checked_at_once) {
+        const std::size_t count = std::min(checked_at_once, n - begin);
         const std::array<const float*, 3> colors{rgb[0] + begin, rgb[1] + begin, rgb[2] + begin};
         exact_.store(colors, count, exact_bytes);
         if (model_->info().exact)
@@ -236,7 +236,7 @@ std::optional<BoundedStore::Failure> BoundedStore::store(std::array<const float*
             if (!holds(p)) {
                 Failure failure{begin + w.undecided[p], 0, 0};
                 for (std::size_t c = 0; c < checks; ++c)
-                    if (const double e = w.errors[c * block_pixels + p]; !(e <= failure.error)) failure = {failure.pixel, c, e};
+                    if (const double e = w.errors[c * checked_at_once + p]; !(e <= failure.error)) failure = {failure.pixel, c, e};
                 return failure;
             }
             note(p, most);

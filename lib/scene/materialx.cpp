@@ -34,9 +34,9 @@ struct Place {
     std::string scope;  ///< name of the node graph, or empty
 };
 
-class Reader {
+class MaterialXReader {
 public:
-    explicit Reader(Builder& builder) : builder_(builder) {}
+    explicit MaterialXReader(Builder& builder) : builder_(builder) {}
 
     Status read(const std::string& path) {
         if (auto s = read_file(path, nullptr, 0); !s) return s;
@@ -199,6 +199,6 @@ private:
 
 }  // namespace
 
-Status read_materialx(Builder& builder, const std::string& path) { return Reader(builder).read(path); }
+Status read_materialx(Builder& builder, const std::string& path) { return MaterialXReader(builder).read(path); }
 
 }  // namespace spectex::scene

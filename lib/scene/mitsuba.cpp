@@ -10,7 +10,7 @@ namespace spectex::scene {
 namespace {
 
 /// A texture of the scene: files of its own, and uses that reach it from where it stands or through references.
-struct TextureNode {
+struct MitsubaTexture {
     std::vector<SceneTexture> images;
     std::vector<std::string> parts;  ///< ids of textures within, by reference
     std::vector<std::size_t> children;
@@ -31,9 +31,9 @@ bool is_emission(std::string_view name) { return name == "radiance" || name == "
 /// Inputs of a texture that are textures of the same kind; others (weights) are data.
 bool is_texture_part(std::string_view name) { return name.empty() || name.starts_with("color") || name == "bitmap" || name == "nested_texture" || name == "input"; }
 
-class Reader {
+class MitsubaReader {
 public:
-    explicit Reader(Builder& builder) : builder_(builder) {}
+    explicit MitsubaReader(Builder& builder) : builder_(builder) {}
 
     Status read(const std::string& path) {
         folders_.push_back(folder_of(path));
@@ -243,14 +243,14 @@ private:
             if (const auto at = ids_.find(id); at != ids_.end()) request(at->second, use, parameter);
         for (std::size_t i = 0; i < requests_.size(); ++i) {
             const auto [texture, use, parameter] = requests_[i];
-            TextureNode& node = nodes_[texture];
+            MitsubaTexture& node = nodes_[texture];
             if (!node.uses.insert(use).second) continue;
             if (node.parameter.empty()) node.parameter = parameter;
             for (const std::size_t child : node.children) request(child, use, parameter);
             for (const std::string& id : node.parts)
                 if (const auto at = ids_.find(id); at != ids_.end()) request(at->second, use, parameter);
         }
-        for (TextureNode& node : nodes_) {
+        for (MitsubaTexture& node : nodes_) {
             if (node.uses.empty()) node.uses.insert(SceneUse::unused);
             for (const SceneTexture& image : node.images)
                 for (const SceneUse use : node.uses) {
@@ -278,13 +278,13 @@ private:
     std::vector<std::string> folders_;  ///< searched in this order; the scene's own is last
     std::map<std::string, std::string, std::less<>> variables_;
     std::map<std::string, std::size_t> ids_;
-    std::vector<TextureNode> nodes_;
+    std::vector<MitsubaTexture> nodes_;
     std::vector<Reference> references_;
     std::vector<Request> requests_;
 };
 
 }  // namespace
 
-Status read_mitsuba(Builder& builder, const std::string& path) { return Reader(builder).read(path); }
+Status read_mitsuba(Builder& builder, const std::string& path) { return MitsubaReader(builder).read(path); }
 
 }  // namespace spectex::scene

@@ -107,15 +107,15 @@ struct ImageMap {
 };
 
 /// A named texture: image files of its own, and the textures that it is made of.
-struct TextureNode {
+struct PbrtTexture {
     std::vector<ImageMap> images;
     std::vector<std::pair<std::string, Kind>> parts;
     std::set<SceneUse> uses;
 };
 
-class Reader {
+class PbrtReader {
 public:
-    explicit Reader(Builder& builder) : builder_(builder) {}
+    explicit PbrtReader(Builder& builder) : builder_(builder) {}
 
     Status read(const std::string& path) {
         search_ = folder_of(path);
@@ -258,7 +258,7 @@ private:
         const Kind kind = type == "spectrum" ? Kind::spectrum : Kind::floating;
         if (nodes_.size() >= builder_.limits().max_textures)
             return text.error(names[0].begin, fmt::format("the scene has more than {} textures", builder_.limits().max_textures));
-        TextureNode& node = nodes_[{kind, names[0].value}];
+        PbrtTexture& node = nodes_[{kind, names[0].value}];
         bool linear = false;
         for (const Parameter& p : parameters)
             linear = linear || (p.type == "string" && p.name == "encoding" && !p.strings.empty() && p.strings[0].value == "linear");
@@ -382,11 +382,11 @@ private:
 
     Builder& builder_;
     std::string search_, white_ = "D65";
-    std::map<std::pair<Kind, std::string>, TextureNode> nodes_;
+    std::map<std::pair<Kind, std::string>, PbrtTexture> nodes_;
 };
 
 }  // namespace
 
-Status read_pbrt(Builder& builder, const std::string& path) { return Reader(builder).read(path); }
+Status read_pbrt(Builder& builder, const std::string& path) { return PbrtReader(builder).read(path); }
 
 }  // namespace spectex::scene
