@@ -185,6 +185,14 @@ int speed(app::App& tool, const Request& request, const Colorimetry& c) {
 
 std::string scaled(double v) { return v == 0 ? "0" : v < 1e-3 ? fmt::format("{:.0e}", v) : fmt::format("{:.3g}", v); }
 
+/// Of "Meng, Simon, Hanika and Dachsbacher 2015, CGF 34(4), doi:...": Meng et al. 2015.
+std::string short_source(const std::string& source) {
+    const auto end = source.find_first_of(",;"), year = source.find_first_of("0123456789");
+    // Several authors have a comma before the year.
+    if (end == std::string::npos || year == std::string::npos || year < end || source[end] == ';') return source.substr(0, end);
+    return source.substr(0, end) + " et al. " + source.substr(year, 4);
+}
+
 /// A row a method, of all that is measured here.
 int summary(app::App& tool, const Request& request, const Colorimetry& c) {
     auto options = accuracy_options(request);
@@ -210,7 +218,7 @@ int summary(app::App& tool, const Request& request, const Colorimetry& c) {
         const auto& info = (*model)->info();
         const auto& d = spectra->difference;
         const auto rate = [&](double seconds) { return static_cast<double>(kept->pixels) / 1e6 / std::max(seconds, 1e-9); };
-        table.add({"`" + id + "`", info.source.substr(0, info.source.find_first_of(",;")), info.exact ? "yes" : "no", scaled(d.mean), scaled(d.max),
+        table.add({"`" + id + "`", short_source(info.source), info.exact ? "yes" : "no", scaled(d.mean), scaled(d.max),
                    std::to_string(d.changed_codes), std::to_string(spectra->outside), fmt::format("{:.3f}", relight), fmt::format("{:.4f}", smooth.p99),
                    fmt::format("{:.3f}", smooth.max) + (smooth.jump > 0.01 ? ", jumps" : ""), std::to_string(info.coefficients),
                    fmt::format("{:.3g}", rate(kept->store_seconds)), fmt::format("{:.3g}", rate(kept->relight_seconds))});
