@@ -55,6 +55,39 @@ void Evaluate(const double* coefficients, std::size_t n, const double* t, std::s
     }
 }
 
+void EvaluateWithSlopes(const double* c, const double* t, std::size_t bands, double* r, double* slope) {
+    const hn::ScalableTag<double> d;
+    const std::size_t lanes = hn::Lanes(d);
+    const auto one = hn::Set(d, 1.0), half = hn::Set(d, 0.5);
+    const auto c0 = hn::Set(d, c[0]), c1 = hn::Set(d, c[1]), c2 = hn::Set(d, c[2]);
+    double staged[3][HWY_MAX_BYTES / sizeof(double)];
+    for (std::size_t b = 0; b < bands; b += lanes) {
+        const std::size_t used = std::min(lanes, bands - b);
+        const bool whole = used == lanes;
+        if (!whole) {
+            std::fill_n(staged[0], lanes, 0.0);
+            std::copy_n(t + b, used, staged[0]);
+        }
+        const auto at = hn::LoadU(d, whole ? t + b : staged[0]);
+        const auto x = hn::Add(hn::Mul(hn::Add(hn::Mul(c0, at), c1), at), c2), magnitude = hn::Abs(x);
+        const auto root = hn::Sqrt(hn::Add(one, hn::Mul(x, x))), together = hn::Add(root, magnitude);
+        // 1/2 - |x| / (2 sqrt(1 + x^2)) without the cancellation, and by the same division 1 / sqrt(1 + x^2).
+        const auto inverse = hn::Div(one, hn::Mul(root, together));
+        const auto tail = hn::Mul(half, inverse), y = hn::Mul(together, inverse);
+        hn::StoreU(hn::IfThenElse(hn::Lt(x, hn::Zero(d)), tail, hn::Sub(one, tail)), d, whole ? r + b : staged[1]);
+        hn::StoreU(hn::Mul(hn::Mul(half, y), hn::Mul(y, y)), d, whole ? slope + b : staged[2]);
+        if (!whole) {
+            std::copy_n(staged[1], used, r + b);
+            std::copy_n(staged[2], used, slope + b);
+        }
+    }
+}
+
+/// What turns bent_ratio and bent_root into positions on [0,1].
+struct Warp {
+    float ratio_zero, ratio_scale, root_zero, root_scale;
+};
+
 // As many colours as a vector holds floats; their doubles come in two vectors, which are one and the same on the target that
 // has one lane of either.
 template <class DF>
@@ -195,6 +228,9 @@ void Refine(const SigmoidEquations& equations, const double* const* q, std::size
     const auto resolution = static_cast<std::int32_t>(equations.resolution);
     const float* table = equations.table.data();
     const VF one_f = hn::Set(df, 1.0f);
+    const double least_ratio = SigmoidEquations::bent_ratio(0), least_root = SigmoidEquations::bent_root(0);
+    const Warp warp{static_cast<float>(least_ratio), static_cast<float>(1 / (SigmoidEquations::bent_ratio(1) - least_ratio)),
+                    static_cast<float>(least_root), static_cast<float>(1 / (SigmoidEquations::bent_root(1) - least_root))};
 
     for (std::size_t begin = 0; begin < n; begin += lanes) {
         const std::size_t used = std::min(lanes, n - begin);
@@ -220,13 +256,21 @@ void Refine(const SigmoidEquations& equations, const double* const* q, std::size
                 const auto is_first = hn::Ge(f0, hn::Max(f1, f2)), is_second = hn::Ge(f1, f2);
                 const VF u = hn::IfThenElse(is_first, f1, hn::IfThenElse(is_second, f2, f0));
                 const VF v = hn::IfThenElse(is_first, f2, hn::IfThenElse(is_second, f0, f1));
-                const VF last = hn::Set(df, static_cast<float>(resolution - 1));
-                const VF w = hn::Sqrt(zf), scale = hn::Div(last, zf);
+                const float steps = static_cast<float>(equations.resolution - 1);
+                const VF zero = hn::Zero(df), last = hn::Set(df, steps), w = hn::Sqrt(zf), inverse_z = hn::Div(one_f, zf);
+                const VF shift = hn::Set(df, static_cast<float>(SigmoidEquations::ratio_shift));
+                const VF ratio_zero = hn::Set(df, warp.ratio_zero), ratio_scale = hn::Set(df, steps * warp.ratio_scale);
+                const auto ratio_position = [&](VF ratio) HWY_ATTR {
+                    return hn::Mul(ratio_scale, hn::Sub(hn::Sqrt(hn::Add(hn::Max(ratio, zero), shift)), ratio_zero));
+                };
+                const VF bent = hn::Sqrt(hn::Max(hn::Sub(hn::Set(df, static_cast<float>(1 + SigmoidEquations::root_shift)), w), zero));
+                const VF root = hn::Sub(w, hn::Mul(hn::Set(df, static_cast<float>(SigmoidEquations::root_bend)), bent));
+                const VF position[3] = {ratio_position(hn::Mul(u, inverse_z)), ratio_position(hn::Mul(v, inverse_z)),
+                                        hn::Mul(hn::Set(df, steps * warp.root_scale), hn::Sub(root, hn::Set(df, warp.root_zero)))};
                 VF fraction[3];
                 hn::Vec<decltype(di)> cell[3];
-                const VF position[3] = {hn::Mul(u, scale), hn::Mul(v, scale), hn::Mul(w, last)};
                 for (int k = 0; k < 3; ++k) {
-                    const VF p = hn::Min(hn::Max(position[k], hn::Zero(df)), last);
+                    const VF p = hn::Min(hn::Max(position[k], zero), last);
                     cell[k] = hn::Min(hn::ConvertTo(di, p), hn::Set(di, resolution - 2));
                     fraction[k] = hn::Sub(p, hn::ConvertTo(df, cell[k]));
                 }
@@ -235,16 +279,29 @@ void Refine(const SigmoidEquations& equations, const double* const* q, std::size
                 const auto r = hn::Set(di, resolution);
                 const auto index = hn::ShiftLeft<2>(hn::Add(
                     hn::Mul(hn::Add(hn::Mul(hn::Add(hn::Mul(block, r), cell[2]), r), cell[1]), r), cell[0]));
-                const std::int32_t dx = 4, dy = 4 * resolution, dz = 4 * resolution * resolution;
-                const auto blend = [&](VF a, VF b, VF f) HWY_ATTR { return hn::Add(a, hn::Mul(f, hn::Sub(b, a))); };
-                const VF inverse_w = hn::Div(one_f, w);
-                for (int k = 0; k < 3; ++k) {
-                    const auto at = [&](std::int32_t offset) HWY_ATTR { return hn::GatherIndex(df, table + k + offset, index); };
-                    const VF near = blend(blend(at(0), at(dx), fraction[0]), blend(at(dy), at(dy + dx), fraction[0]), fraction[1]);
-                    const VF far = blend(blend(at(dz), at(dz + dx), fraction[0]), blend(at(dz + dy), at(dz + dy + dx), fraction[0]),
-                                         fraction[1]);
-                    guess[k] = hn::Mul(blend(near, far, fraction[2]), inverse_w);
+                // A colour at a time, its three coefficients together: gathers of single numbers take longer than all else here.
+                std::int32_t at[HWY_MAX_BYTES / sizeof(float)];
+                float part[3][HWY_MAX_BYTES / sizeof(float)], found[HWY_MAX_BYTES / sizeof(float)][4];
+                hn::StoreU(index, di, at);
+                for (int k = 0; k < 3; ++k) hn::StoreU(fraction[k], df, part[k]);
+                const hn::CappedTag<float, 4> d4;
+                const std::size_t dx = 4, dy = dx * equations.resolution, dz = dy * equations.resolution;
+                const auto blend = [](auto a, auto b, auto f) HWY_ATTR { return hn::Add(a, hn::Mul(f, hn::Sub(b, a))); };
+                for (std::size_t i = 0; i < lanes; ++i) {
+                    const auto fx = hn::Set(d4, part[0][i]), fy = hn::Set(d4, part[1][i]), fz = hn::Set(d4, part[2][i]);
+                    for (std::size_t k = 0; k < 4; k += hn::Lanes(d4)) {
+                        const float* vertex = table + static_cast<std::size_t>(at[i]) + k;
+                        const auto row = [&](const float* from) HWY_ATTR {
+                            return blend(hn::LoadU(d4, from), hn::LoadU(d4, from + dx), fx);
+                        };
+                        const auto near = blend(row(vertex), row(vertex + dy), fy);
+                        const auto far = blend(row(vertex + dz), row(vertex + dz + dy), fy);
+                        hn::StoreU(blend(near, far, fz), d4, found[i] + k);
+                    }
                 }
+                const VF inverse_w = hn::Div(one_f, w);
+                for (int k = 0; k < 3; ++k)
+                    guess[k] = hn::Mul(hn::GatherIndex(df, &found[0][k], hn::ShiftLeft<2>(hn::Iota(di, 0))), inverse_w);
             }
 
             // A step in single precision.
@@ -357,6 +414,7 @@ HWY_AFTER_NAMESPACE();
 namespace spectex::kernels {
 
 HWY_EXPORT(Evaluate);
+HWY_EXPORT(EvaluateWithSlopes);
 HWY_EXPORT(Refine);
 
 double sigmoid(double x) {
@@ -378,6 +436,27 @@ void evaluate_sigmoids_reference(std::span<const double> coefficients, std::span
         }
         for (std::size_t b = 0; b < t.size(); ++b) out[i * t.size() + b] = sigmoid((c[0] * t[b] + c[1]) * t[b] + c[2]);
     }
+}
+
+void sigmoids_and_slopes(const std::array<double, 3>& c, std::span<const double> t, double* r, double* slope) {
+    HWY_DYNAMIC_DISPATCH(EvaluateWithSlopes)(c.data(), t.data(), t.size(), r, slope);
+}
+
+double SigmoidEquations::bent_ratio(double ratio) { return std::sqrt(ratio + ratio_shift); }
+double SigmoidEquations::bent_root(double w) { return w - root_bend * std::sqrt(1 + root_shift - w); }
+double SigmoidEquations::ratio_position(double ratio) {
+    return (bent_ratio(ratio) - bent_ratio(0)) / (bent_ratio(1) - bent_ratio(0));
+}
+double SigmoidEquations::root_position(double w) { return (bent_root(w) - bent_root(0)) / (bent_root(1) - bent_root(0)); }
+double SigmoidEquations::ratio_at(double position) {
+    const double bent = bent_ratio(0) + position * (bent_ratio(1) - bent_ratio(0));
+    return std::clamp(bent * bent - ratio_shift, 0.0, 1.0);
+}
+double SigmoidEquations::root_at(double position) {
+    // A quadratic in s = sqrt(1 + root_shift - w).
+    const double rest = 1 + root_shift - bent_root(0) - position * (bent_root(1) - bent_root(0));
+    const double s = (std::sqrt(root_bend * root_bend + 4 * rest) - root_bend) / 2;
+    return std::clamp(1 + root_shift - s * s, 0.0, 1.0);
 }
 
 SigmoidEquations::SigmoidEquations(std::span<const double> t, std::span<const double> a) {

@@ -26,6 +26,9 @@ double sigmoid(double x);
 void evaluate_sigmoids(std::span<const double> coefficients, std::span<const double> t, std::span<double> out);
 void evaluate_sigmoids_reference(std::span<const double> coefficients, std::span<const double> t, std::span<double> out);
 
+/// r[b] = S(x) and slope[b] = S'(x) at x = c0 t_b^2 + c1 t_b + c2, for one colour.
+void sigmoids_and_slopes(const std::array<double, 3>& c, std::span<const double> t, double* r, double* slope);
+
 /// A band of the equations, in both precisions.
 struct SigmoidBand {
     double t;
@@ -55,11 +58,21 @@ struct SigmoidEquations {
     static constexpr double light_enough = 0.0003;  ///< of white's 1
     std::vector<Few> few;
 
-    /// Coefficients times sqrt(z) on a grid over (block, w, y, x): the block is the index of the largest component z of q,
-    /// w = sqrt(z), x and y are the next two components (cyclically) over z; each axis even over [0,1]. Four floats a
-    /// vertex: c0, c1, c2 and padding. With the factor the table has a limit at black.
+    /// Coefficients times w = sqrt(z) on a grid over (block, w, y, x): the block is the index of the largest component z of
+    /// q, x and y are the next two components (cyclically) over z. Four floats a vertex: c0, c1, c2 and padding. With the
+    /// factor the table has a limit at black. The grid is even in ratio_position of x and y and in root_position of w.
     std::size_t resolution = 0;
     std::vector<float> table;
+
+    /// Where coefficients bend most, at small ratios and where z nears 1, the grid is finest: of sRGB's codes a fifth as many
+    /// need a second pass as with an even grid of 57 vertices on each axis, with 41.
+    static constexpr double ratio_shift = 0.01, root_bend = 0.6, root_shift = 0.003;
+    static double bent_ratio(double ratio);
+    static double bent_root(double w);
+    static double ratio_position(double ratio);
+    static double ratio_at(double position);  ///< its inverse on [0,1]
+    static double root_position(double w);
+    static double root_at(double position);
 };
 
 /// Steps of Newton's method for the equations of n colours: one in single precision from the table's guess; one with the

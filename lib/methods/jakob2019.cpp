@@ -30,8 +30,10 @@ constexpr double darkest_in_kernel = 1e-5;
 /// sqrt(z) of the vertices that stand for black: close enough to the limit that the difference, of the order of z, is less
 /// than a float resolves.
 constexpr double darkest_vertex = 1e-4;
-constexpr std::size_t coarse_resolution = 9, fine_resolution = 57;
-constexpr std::size_t block = 512;
+/// Each table is solved from the guesses of the one before it, the first one by one.
+constexpr std::array<std::size_t, 3> resolutions{5, 13, 41};
+/// As many colours as plans ask for at a time, so that of those refined again, a few in a hundred, enough are together.
+constexpr std::size_t block = 1024;
 
 double norm(const Vector3& v) { return std::sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2]); }
 
@@ -67,8 +69,7 @@ Solver::Solver(const Colorimetry& colorimetry, Bare)
 }
 
 Solver::Solver(const Colorimetry& colorimetry) : Solver(colorimetry, Bare{}) {
-    tabulate(coarse_resolution);
-    tabulate(fine_resolution);
+    for (const std::size_t n : resolutions) tabulate(n);
 }
 
 std::shared_ptr<const Solver> Solver::shared(const Colorimetry& colorimetry) {
@@ -117,19 +118,24 @@ bool Solver::closed_form(const Mirrored& m, Vector3& c) const {
 }
 
 void Solver::residual(const Vector3& c, Vector3& f, Matrix3& jacobian) const {
+    // Values and slopes of many bands at once, by vectors; summed in the bands' order.
+    constexpr std::size_t most = 64;
+    std::array<double, most> value, slope;
     f = {};
     std::array<double, 9>& j = jacobian.m;
     j = {};
-    for (const auto& band : equations_.bands) {
-        const double x = (c[0] * band.t + c[1]) * band.t + c[2];
-        const double y = 1 / std::sqrt(1 + x * x), tail = 0.5 * y * y / (1 + std::fabs(x) * y);
-        const double r = x < 0 ? tail : 1 - tail, slope = 0.5 * y * y * y;
-        for (std::size_t i = 0; i < 3; ++i) {
-            f[i] += band.a[i] * r;
-            const double w = band.a[i] * slope;
-            j[3 * i + 2] += w;
-            j[3 * i + 1] += w * band.t;
-            j[3 * i] += w * band.t * band.t;
+    for (std::size_t begin = 0; begin < nodes_.size(); begin += most) {
+        const std::span<const double> nodes = std::span(nodes_).subspan(begin, std::min(most, nodes_.size() - begin));
+        kernels::sigmoids_and_slopes(c, nodes, value.data(), slope.data());
+        for (std::size_t k = 0; k < nodes.size(); ++k) {
+            const auto& band = equations_.bands[begin + k];
+            for (std::size_t i = 0; i < 3; ++i) {
+                f[i] += band.a[i] * value[k];
+                const double w = band.a[i] * slope[k];
+                j[3 * i + 2] += w;
+                j[3 * i + 1] += w * band.t;
+                j[3 * i] += w * band.t * band.t;
+            }
         }
     }
 }
@@ -146,7 +152,8 @@ bool Solver::newton(const Vector3& q, Vector3& c) const {
         if (!solve3(jacobian, f, step)) break;
         bool better = false;
         double share = 1;
-        for (int h = 0; h < most_halvings; ++h, share /= 2) {
+        // What a whole step no longer betters is rounding, once it is little enough.
+        for (int h = 0; h < (error <= enough ? 1 : most_halvings); ++h, share /= 2) {
             const Vector3 next{c[0] - share * step[0], c[1] - share * step[1], c[2] - share * step[2]};
             Vector3 g;
             Matrix3 next_jacobian;
@@ -279,7 +286,10 @@ Vector3 Solver::guess(const Vector3& q) const {
     const std::size_t n = equations_.resolution, largest = static_cast<std::size_t>(std::max_element(q.begin(), q.end()) - q.begin());
     const double z = q[largest], w = std::sqrt(z);
     const auto last = static_cast<double>(n - 1);
-    const std::array<double, 3> position{q[(largest + 1) % 3] / z * last, q[(largest + 2) % 3] / z * last, w * last};
+    using kernels::SigmoidEquations;
+    const std::array<double, 3> position{SigmoidEquations::ratio_position(q[(largest + 1) % 3] / z) * last,
+                                         SigmoidEquations::ratio_position(q[(largest + 2) % 3] / z) * last,
+                                         SigmoidEquations::root_position(w) * last};
     std::array<std::size_t, 3> cell{};
     std::array<double, 3> fraction{};
     for (std::size_t k = 0; k < 3; ++k) {
@@ -301,11 +311,16 @@ Vector3 Solver::guess(const Vector3& q) const {
 void Solver::tabulate(std::size_t n) {
     const auto last = static_cast<double>(n - 1);
     std::vector<float> table(4 * 3 * n * n * n);
+    std::vector<double> ratio, root;
+    for (std::size_t k = 0; k < n; ++k) {
+        ratio.push_back(kernels::SigmoidEquations::ratio_at(static_cast<double>(k) / last));
+        root.push_back(kernels::SigmoidEquations::root_at(static_cast<double>(k) / last));
+    }
     parallel_for(std::size_t{0}, 3 * n, [&](std::size_t plane) {
         const std::size_t largest = plane / n, k = plane % n;
-        const double w = std::max(static_cast<double>(k) / last, darkest_vertex), z = w * w;
+        const double w = std::max(root[k], darkest_vertex), z = w * w;
         // Only vertices of cells that hold colours with largest + smallest component <= 1 are looked at.
-        const double below = k > 0 ? static_cast<double>(k - 1) / last : 0;
+        const double below = k > 0 ? root[k - 1] : 0;
         std::vector<double> rgb, c;
         std::vector<std::size_t> where;
         Vector3 start{};
@@ -313,14 +328,14 @@ void Solver::tabulate(std::size_t n) {
         for (std::size_t y = n; y-- > 0;)
             for (std::size_t x = n; x-- > 0;) {
                 const std::size_t least = std::min(x, y);
-                const double smallest = below * below * (least > 0 ? static_cast<double>(least - 1) / last : 0);
+                const double smallest = below * below * (least > 0 ? ratio[least - 1] : 0);
                 if (below * below + smallest > 1) continue;
                 const std::size_t vertex = (plane * n + y) * n + x;
                 Mirrored m;
                 m.z = z;
                 m.q[largest] = z;
-                m.q[(largest + 1) % 3] = z * (static_cast<double>(x) / last);
-                m.q[(largest + 2) % 3] = z * (static_cast<double>(y) / last);
+                m.q[(largest + 1) % 3] = z * ratio[x];
+                m.q[(largest + 2) % 3] = z * ratio[y];
                 if (m.q[0] >= 1 && m.q[1] >= 1 && m.q[2] >= 1) continue;
                 if (equations_.resolution > 0 && z >= darkest_in_kernel) {
                     rgb.insert(rgb.end(), m.q.begin(), m.q.end());
