@@ -400,7 +400,7 @@ std::optional<int> App::parse(int argc, char** argv) {
     return std::nullopt;
 }
 
-int App::main(int argc, char** argv, const std::function<int()>& body) {
+int App::run(int argc, char** argv, const std::function<int()>& body) {
     hold_standard_descriptors();
     install_signal_handlers();
     try {

@@ -197,7 +197,7 @@ int main(int argc, char** argv) {
     add_input_colorspace(app, input_colorspace);
     add_uplift_options(app, set);
 
-    return app.main(argc, argv, [&]() -> int {
+    return app.run(argc, argv, [&]() -> int {
         const auto trimmed = [](std::string path) {
             while (path.size() > 1 && path.back() == '/') path.pop_back();
             return path;

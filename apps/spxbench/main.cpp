@@ -288,7 +288,7 @@ int main(int argc, char** argv) {
                   return {};
               }});
     app::add_colorimetry_options(tool, request.colorimetry);
-    return tool.main(argc, argv, [&]() -> int {
+    return tool.run(argc, argv, [&]() -> int {
         if (request.what.empty() && request.folder.empty())
             return tool.usage_error("expected grid, scaling, kernels, speed, accuracy, smoothness, stability or methods, or -o DIR");
         const std::string what = request.what.empty() ? "grid" : request.what[0];
@@ -310,6 +310,7 @@ int main(int argc, char** argv) {
         request.grid.stores = request.stores;
         request.grid.folder = request.folder;
         request.grid.colorimetry = request.colorimetry.spec;
+        if (app::App::lines_only) return app::exit_ok;
         return found->second(tool, request, *c);
     });
 }

@@ -38,7 +38,7 @@ int main(int argc, char** argv) {
     add_input_colorspace(app, input_colorspace);
     add_uplift_options(app, set);
 
-    return app.main(argc, argv, [&]() -> int {
+    return app.run(argc, argv, [&]() -> int {
         const auto metric = parse_metric(metric_text);
         if (!metric) return app.report(metric.error());
         const auto inputs = app.inputs(arguments);

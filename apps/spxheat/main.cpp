@@ -46,6 +46,7 @@ int figure1(App& app, const std::string& output, const Figure1Request& request, 
     if (!colorimetry) return app.report(colorimetry.error());
     const auto progress = app.progress("figure1");
     options.progress = job_options(app, progress, "").progress;
+    if (App::lines_only) return exit_ok;
     const auto rendering = render_gamut(*colorimetry, options);
     if (!rendering) return app.report(rendering.error());
     style.caption = fmt::format("A plane with {} as its albedo under CIE D65 from all sides. Hero-wavelength Monte Carlo, {} samples of 4 "
@@ -119,7 +120,7 @@ int main(int argc, char** argv) {
                  return {};
              }});
 
-    return app.main(argc, argv, [&]() -> int {
+    return app.run(argc, argv, [&]() -> int {
         const auto metric = parse_metric(metric_text);
         if (!metric) return app.report(metric.error());
         if (arguments == std::vector<std::string>{"figure1"}) {

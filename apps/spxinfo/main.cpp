@@ -117,7 +117,7 @@ int main(int argc, char** argv) {
     app.text("--plot", "OUT.svg", &options.plot, "draw the spectrum of the pixel (with --at), one curve for each file");
     app.group("Input");
     add_input_colorspace(app, options.request.input_colorspace);
-    return app.main(argc, argv, [&] {
+    return app.run(argc, argv, [&] {
         options.request.threads = app.threads();
         options.request.strict = app.strict();
         return run(app, options);

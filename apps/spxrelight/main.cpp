@@ -151,7 +151,7 @@ int main(int argc, char** argv) {
     add_method_options(app, method);
     add_colorimetry_options(app, colorimetry, "--reference-illuminant");
 
-    return app.main(argc, argv, [&]() -> int {
+    return app.run(argc, argv, [&]() -> int {
         if (listing) {
             const auto listed = list_illuminants_matching(app, list_pattern);
             return listed ? exit_ok : app.report(listed.error());

@@ -237,7 +237,7 @@ int main(int argc, char** argv) {
               }});
     tool.text("--certificate", "FILE", &request.certificate, "where there are no such spectra, write the proof as JSON");
     app::add_colorimetry_options(tool, request.colorimetry);
-    return tool.main(argc, argv, [&] {
+    return tool.run(argc, argv, [&]() -> int {
         const std::string& what = request.what[0];
         const bool wants_primaries = what == "primaries", wants_lattice = what == "lattice";
         if (!wants_primaries && !wants_lattice && what != "table")
@@ -254,6 +254,7 @@ int main(int argc, char** argv) {
         if (!tool.given("--n")) request.n = wants_lattice ? 9 : 64;
         const std::array<app::NamedOutput, 2> outputs{{{"-o", request.output}, {"--certificate", request.certificate}}};
         if (auto fine = app::check_outputs({}, outputs); !fine) return tool.report(fine.error());
+        if (app::App::lines_only) return app::exit_ok;
         return wants_primaries ? primaries(tool, request) : wants_lattice ? lattice(tool, request) : table(tool, request);
     });
 }

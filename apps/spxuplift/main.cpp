@@ -33,7 +33,7 @@ int main(int argc, char** argv) {
     add_input_colorspace(app, input_colorspace);
     add_uplift_options(app, set);
 
-    return app.main(argc, argv, [&]() -> int {
+    return app.run(argc, argv, [&]() -> int {
         const auto settings = set.settings(app);
         if (!settings) return app.report(settings.error());
         const auto inputs = app.inputs(arguments);

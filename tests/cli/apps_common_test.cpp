@@ -175,7 +175,7 @@ TEST(Positionals, AssignedInOrder) {
     std::array<std::string, 6> words{"spxtest", "go", "[x,y]", "--", "--b", "end"};
     std::array<char*, 6> argv{};
     for (std::size_t i = 0; i < words.size(); ++i) argv[i] = words[i].data();
-    EXPECT_EQ(app.main(6, argv.data(), [] { return 1; }), 1);
+    EXPECT_EQ(app.run(6, argv.data(), [] { return 1; }), 1);
     EXPECT_EQ(command, std::vector<std::string>{"go"});
     EXPECT_EQ(files, (std::vector<std::string>{"[x,y]", "--b"}));
     EXPECT_EQ(last, std::vector<std::string>{"end"});
