@@ -2,6 +2,7 @@
 
 #include <fcntl.h>
 #include <fmt/format.h>
+#include <fmt/ranges.h>
 #include <signal.h>
 #include <unistd.h>
 
@@ -11,6 +12,7 @@
 #include <cmath>
 #include <cstdio>
 #include <cstring>
+#include <map>
 #include <new>
 #include <sstream>
 
@@ -440,6 +442,50 @@ int App::each(std::span<const Job> jobs, const std::function<Result<Json>(const 
         }
     }
     return worst;
+}
+
+namespace {
+
+/// Every text that is `from` becomes `to`.
+void rename_texts(Json& json, const std::string& from, const std::string& to) {
+    if (json.is_string() && json.get_ref<const std::string&>() == from) json = to;
+    if (json.is_structured())
+        for (auto& item : json) rename_texts(item, from, to);
+}
+
+}  // namespace
+
+int App::each_distinct(std::span<const Job> jobs, const std::function<Result<Json>(const Job&)>& work) {
+    struct Made {
+        const Job* job;
+        Json json;
+    };
+    std::map<std::pair<std::size_t, int>, Made> made;  // by content and level
+    EqualFiles contents;
+    return each(jobs, [&](const Job& job) -> Result<Json> {
+        // A single input has no other to be equal to, and is not read for it.
+        const auto content = jobs.size() > 1 ? contents.number(job.input) : std::nullopt;
+        const auto earlier = content ? made.find({*content, job.mip}) : made.end();
+        if (earlier == made.end()) {
+            auto json = work(job);
+            if (json && content) made.insert({{*content, job.mip}, {&job, *json}});
+            return json;
+        }
+        const Job& first = *earlier->second.job;
+        Json json = earlier->second.json;
+        const std::pair<std::string, std::string> rows[] = {
+            {"input", fmt::format("the bytes of {}", first.input)},
+            {"skipped", fmt::format("reading, converting and writing it: {} is copied", fmt::join(first.outputs, ", "))}};
+        explain(job.input, rows);
+        for (std::size_t i = 0; i < job.outputs.size(); ++i) {
+            if (auto copied = copy_output(first.outputs[i], job.outputs[i]); !copied) return copied.error();
+            note(fmt::format("{}: copied from {}, whose input has the same bytes", job.outputs[i], first.outputs[i]));
+            rename_texts(json, first.outputs[i], job.outputs[i]);
+        }
+        rename_texts(json, first.input, job.input);
+        json["copied_from"] = first.outputs[0];
+        return json;
+    });
 }
 
 int App::report(const Error& error, std::string_view file) {

@@ -110,6 +110,9 @@ public:
     /// Runs `work` on each item; what fails is reported, recorded and passed over. `work` gives the item's JSON, to which
     /// `input` is added unless it has one. Returns the worst exit code.
     int each(std::span<const Job> jobs, const std::function<Result<Json>(const Job&)>& work);
+    /// The same, for work that depends on the input's bytes and level alone: where an earlier input has the same ones, its
+    /// outputs are copied and its JSON repeated with the names of this job and `copied_from`.
+    int each_distinct(std::span<const Job> jobs, const std::function<Result<Json>(const Job&)>& work);
 
     /// Prints `TOOL: message`, or `TOOL: FILE: message` when the message does not name the file; gives the exit code.
     int report(const Error& error, std::string_view file = {});

@@ -4,7 +4,9 @@
 #include <glob.h>
 #include <sys/stat.h>
 
+#include <algorithm>
 #include <filesystem>
+#include <fstream>
 #include <map>
 
 #include "text.h"
@@ -14,7 +16,18 @@ namespace {
 
 namespace fs = std::filesystem;
 
-constexpr std::string_view placeholder = "{illuminant}";
+constexpr std::string_view placeholder = "{illuminant}", level_placeholder = "{mip}";
+
+std::string replace_all(std::string_view text, std::string_view from, std::string_view to) {
+    std::string out;
+    for (;;) {
+        const auto at = text.find(from);
+        out += text.substr(0, at);
+        if (at == std::string_view::npos) return out;
+        out += to;
+        text.remove_prefix(at + from.size());
+    }
+}
 
 bool is_folder(const std::string& path) {
     std::error_code ignored;
@@ -64,6 +77,57 @@ Result<std::vector<std::string>> expand_inputs(std::span<const std::string> argu
     return files;
 }
 
+namespace {
+
+std::optional<FileStamp> stamp_of(const std::string& path) {
+    struct stat s{};
+    if (::stat(path.c_str(), &s) != 0 || !S_ISREG(s.st_mode)) return std::nullopt;
+    return FileStamp{static_cast<std::int64_t>(s.st_dev), static_cast<std::int64_t>(s.st_ino), s.st_size, s.st_mtim.tv_sec, s.st_mtim.tv_nsec};
+}
+
+/// As many bytes as tell nearly all textures of one size apart.
+constexpr std::size_t head_bytes = std::size_t{1} << 12;
+
+std::string head_of(const std::string& path) {
+    std::string head(head_bytes, '\0');
+    std::ifstream file(path, std::ios::binary);
+    file.read(head.data(), static_cast<std::streamsize>(head.size()));
+    head.resize(static_cast<std::size_t>(file.gcount()));
+    return head;
+}
+
+bool same_bytes(const std::string& a, const std::string& b) {
+    std::ifstream files[] = {std::ifstream(a, std::ios::binary), std::ifstream(b, std::ios::binary)};
+    std::vector<char> buffers[] = {std::vector<char>(std::size_t{1} << 16), std::vector<char>(std::size_t{1} << 16)};
+    if (!files[0] || !files[1]) return false;
+    for (;;) {
+        for (std::size_t i = 0; i < 2; ++i) files[i].read(buffers[i].data(), static_cast<std::streamsize>(buffers[i].size()));
+        const auto read = files[0].gcount();
+        if (read != files[1].gcount() || files[0].bad() || files[1].bad()) return false;
+        if (!std::equal(buffers[0].begin(), buffers[0].begin() + read, buffers[1].begin())) return false;
+        if (static_cast<std::size_t>(read) < buffers[0].size()) return files[0].eof() && files[1].eof();
+    }
+}
+
+}  // namespace
+
+std::optional<std::size_t> EqualFiles::number(const std::string& path) {
+    const auto stamp = stamp_of(path);
+    if (!stamp) return std::nullopt;
+    std::optional<std::string> head;
+    for (std::size_t i = 0; i < contents_.size(); ++i) {
+        const Content& c = contents_[i];
+        if (c.stamp[2] != (*stamp)[2]) continue;
+        if (c.stamp != *stamp) {
+            if (!head) head = head_of(path);
+            if (*head != c.head || !same_bytes(path, c.path)) continue;
+        }
+        return stamp_of(c.path) == c.stamp && stamp_of(path) == stamp ? std::optional<std::size_t>(i) : std::nullopt;
+    }
+    contents_.push_back({path, head ? *std::move(head) : head_of(path), *stamp});
+    return contents_.size() - 1;
+}
+
 std::string stem(std::string_view path) { return fs::path(path).stem().string(); }
 
 std::string file_name_part(std::string_view name) {
@@ -78,15 +142,7 @@ std::string file_name_part(std::string_view name) {
 }
 
 std::string expand_illuminant(std::string_view path, std::string_view illuminant) {
-    std::string out;
-    const std::string part = file_name_part(illuminant);
-    for (;;) {
-        const auto at = path.find(placeholder);
-        out += path.substr(0, at);
-        if (at == std::string_view::npos) return out;
-        out += part;
-        path.remove_prefix(at + placeholder.size());
-    }
+    return replace_all(path, placeholder, file_name_part(illuminant));
 }
 
 Status check_outputs(std::span<const std::string> inputs, std::span<const NamedOutput> outputs) {
@@ -120,37 +176,45 @@ Status check_outputs(std::span<const std::string> inputs, std::span<const NamedO
 }
 
 Result<std::vector<Job>> plan_outputs(std::span<const std::string> inputs, std::string_view output,
-                                      std::string_view suffix, std::span<const std::string> variants) {
+                                      std::string_view suffix, std::span<const std::string> variants, std::span<const int> levels) {
     if (output.empty()) return Error{ErrorKind::usage, "-o: expected a file or folder name, got an empty one"};
-    const bool placed = output.find(placeholder) != std::string_view::npos;
+    const bool placed = output.find(placeholder) != std::string_view::npos, level_placed = output.find(level_placeholder) != std::string_view::npos;
     std::vector<Job> jobs;
     std::vector<NamedOutput> named;
     const std::size_t count = variants.empty() ? 1 : variants.size();
-    for (const auto& input : inputs) {
-        Job job{input, {}};
-        for (std::size_t i = 0; i < count; ++i) {
-            const std::string target =
-                variants.empty() ? std::string(output) : expand_illuminant(output, variants[i]);
-            std::string path = target;
-            if (is_folder(target)) {
-                const std::string tag = variants.empty() || placed ? "" : fmt::format("_{}", file_name_part(variants[i]));
-                path = (fs::path(target) / (stem(input) + tag + std::string(suffix))).string();
-            } else if (inputs.size() > 1 || target.ends_with('/')) {
-                if (fs::exists(target))
-                    return Error{ErrorKind::usage, fmt::format("-o: '{}' is a file, but {} inputs need a folder", target,
-                                                               inputs.size())};
-                auto error = missing_folder(target);
-                error.message = "-o: " + error.message;
-                return error;
-            } else if (variants.size() > 1 && !placed) {
-                return Error{ErrorKind::usage, fmt::format("-o: {} illuminants need '{{illuminant}}' in the output's name, got '{}'",
-                                                           variants.size(), target)};
+    static constexpr int full_size[] = {0};
+    if (levels.empty()) levels = full_size;
+    for (const auto& input : inputs)
+        for (const int level : levels) {
+            Job job{input, {}, level};
+            for (std::size_t i = 0; i < count; ++i) {
+                const std::string lit = variants.empty() ? std::string(output) : expand_illuminant(output, variants[i]);
+                const std::string target = replace_all(lit, level_placeholder, std::to_string(level));
+                std::string path = target;
+                if (is_folder(target)) {
+                    const std::string tag = variants.empty() || placed ? "" : fmt::format("_{}", file_name_part(variants[i]));
+                    const std::string mip = levels.size() == 1 || level_placed ? "" : fmt::format("_mip{}", level);
+                    path = (fs::path(target) / (stem(input) + mip + tag + std::string(suffix))).string();
+                } else if (inputs.size() > 1 || target.ends_with('/')) {
+                    if (fs::exists(target))
+                        return Error{ErrorKind::usage, fmt::format("-o: '{}' is a file, but {} inputs need a folder", target,
+                                                                   inputs.size())};
+                    auto error = missing_folder(target);
+                    error.message = "-o: " + error.message;
+                    return error;
+                } else if (levels.size() > 1 && !level_placed) {
+                    return Error{ErrorKind::usage, fmt::format("-o: {} mip levels need '{{mip}}' in the output's name, got '{}'",
+                                                               levels.size(), target)};
+                } else if (variants.size() > 1 && !placed) {
+                    return Error{ErrorKind::usage, fmt::format("-o: {} illuminants need '{{illuminant}}' in the output's name, got '{}'",
+                                                               variants.size(), target)};
+                }
+                named.push_back({fmt::format("'{}'{}{}", input, levels.size() > 1 ? fmt::format(" level {}", level) : "",
+                                             variants.size() > 1 ? fmt::format(" under {}", variants[i]) : ""), path});
+                job.outputs.push_back(std::move(path));
             }
-            named.push_back({fmt::format("'{}'{}", input, variants.size() > 1 ? fmt::format(" under {}", variants[i]) : ""), path});
-            job.outputs.push_back(std::move(path));
+            jobs.push_back(std::move(job));
         }
-        jobs.push_back(std::move(job));
-    }
     if (auto checked = check_outputs(inputs, named); !checked) return checked.error();
     return jobs;
 }

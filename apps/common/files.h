@@ -1,6 +1,9 @@
 // File arguments: wildcards, names of outputs, and the refusals that come before any work.
 #pragma once
 
+#include <array>
+#include <cstdint>
+#include <optional>
 #include <span>
 #include <string>
 #include <string_view>
@@ -15,10 +18,14 @@ namespace spectex::app {
 /// reader, which says more.
 Result<std::vector<std::string>> expand_inputs(std::span<const std::string> arguments);
 
+/// What shows that a file is still the one it was: device, inode, size, time of change in seconds and nanoseconds.
+using FileStamp = std::array<std::int64_t, 5>;
+
 /// An input with its outputs, one per variant.
 struct Job {
     std::string input;
     std::vector<std::string> outputs;
+    int mip = 0;  ///< the level of the input
 };
 
 /// Names the outputs of inputs.
@@ -26,10 +33,28 @@ struct Job {
 /// @param suffix    with its dot: ".exr".
 /// @param variants  illuminants' names; empty for one plain output. `{illuminant}` in `output` is replaced by each; in a
 ///                  folder without it, `_NAME` follows the stem.
+/// @param levels    each a job of its own: `{mip}` in `output` is replaced; in a folder without it, `_mipN` follows the stem
+/// where there are several.
 /// @error usage: many inputs for one file, many variants for one name, a missing folder, two outputs of one name, an
 /// output that is an input (also through links).
 Result<std::vector<Job>> plan_outputs(std::span<const std::string> inputs, std::string_view output,
-                                      std::string_view suffix, std::span<const std::string> variants = {});
+                                      std::string_view suffix, std::span<const std::string> variants = {},
+                                      std::span<const int> levels = {});
+
+/// Tells files of equal bytes by a number for each content.
+class EqualFiles {
+public:
+    /// Reads of a file only what tells it from those of its size. Nothing for a file that cannot be read, and for one whose
+    /// equal has changed since it was numbered.
+    std::optional<std::size_t> number(const std::string& path);
+
+private:
+    struct Content {
+        std::string path, head;
+        FileStamp stamp;
+    };
+    std::vector<Content> contents_;
+};
 
 /// One path that an option makes the tool write.
 struct NamedOutput {

@@ -1,10 +1,15 @@
 #include "options.h"
 
+#include <fmt/format.h>
+
 #include <array>
 #include <string_view>
 
 namespace spectex::app {
 namespace {
+
+/// A picture halved this often is one pixel, whatever its size.
+constexpr int deepest_level = 31;
 
 /// An option whose value is kept as text once `check` accepts it.
 template <class Check>
@@ -99,6 +104,52 @@ void add_input_colorspace(App& app, std::string& name) {
     app.text("--input-colorspace", "CS", &name,
              "OCIO colour space of the input; otherwise by its metadata, ICC profile or chromaticities, else sRGB for "
              "integer and linear Rec.709 for float files");
+}
+
+Status SelectionOptions::check() const {
+    if (select.layer.empty() || select.channels.empty()) return {};
+    return Error{ErrorKind::usage, "--layer excludes --channels: expected one of them"};
+}
+
+void add_selection_options(App& app, SelectionOptions& options, bool range) {
+    app.add({.names = "--mip", .metavar = range ? "N|N:M" : "N",
+             .text = range ? "read only this level of mip-mapped files, or each from N to M into a file of its own: {mip} in the output's name expands, "
+                             "in a folder _mipN follows the stem"
+                           : "read only this level of mip-mapped files",
+             .range = "0..31", .default_value = "0", .set = [range, &options](std::string_view value) -> Status {
+                 const auto wrong = [&] {
+                     return Error{ErrorKind::usage, fmt::format("expected a mip level 0 to {}{}, got '{}'", deepest_level,
+                                                                range ? ", or two with a colon in ascending order" : "", value)};
+                 };
+                 const auto level = [&](std::string_view text) -> std::optional<int> {
+                     const auto number = parse_integer(text, 0, deepest_level);
+                     return number ? std::optional<int>(static_cast<int>(*number)) : std::nullopt;
+                 };
+                 const auto colon = range ? value.find(':') : std::string_view::npos;
+                 const auto first = level(value.substr(0, colon));
+                 const auto last = colon == std::string_view::npos ? first : level(value.substr(colon + 1));
+                 if (!first || !last || *first > *last) return wrong();
+                 options.levels.clear();
+                 for (int l = *first; l <= *last; ++l) options.levels.push_back(l);
+                 return {};
+             }});
+    app.add({.names = "--layer", .metavar = "NAME",
+             .text = "colour is this layer's: channels NAME.R, NAME.G, NAME.B (or NAME.Y), or those of the EXR part NAME; no other channel is read",
+             .set = [&options](std::string_view value) -> Status {
+                 if (value.empty()) return Error{ErrorKind::usage, "expected a layer's name, got an empty one"};
+                 options.select.layer = value;
+                 return {};
+             }});
+    app.add({.names = "--channels", .metavar = "R,G,B[,A]|Y[,A]",
+             .text = "colour is in the channels of these names, in this order; no other channel is read",
+             .set = [&options](std::string_view value) -> Status {
+                 auto names = parse_list(value);
+                 if (!names) return names.error();
+                 if (names->size() > 4)
+                     return Error{ErrorKind::usage, fmt::format("expected three channels or one, and perhaps alpha, got {}", names->size())};
+                 options.select.channels = *std::move(names);
+                 return {};
+             }});
 }
 
 }  // namespace spectex::app

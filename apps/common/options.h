@@ -3,6 +3,7 @@
 
 #include <optional>
 #include <string>
+#include <vector>
 
 #include "app.h"
 #include "spectex/io.h"
@@ -48,5 +49,21 @@ void add_output_options(App& app, OutputOptions& options, OutputTypes types = Ou
 
 /// --input-colorspace
 void add_input_colorspace(App& app, std::string& name);
+
+/// --mip --layer --channels: what of an image file is read.
+struct SelectionOptions {
+    std::vector<int> levels{0};  ///< of the pyramid, ascending
+    ImageSelection select;       ///< without the level
+
+    /// @error usage, when both a layer and channels are named.
+    Status check() const;
+    ImageSelection at(int level) const {
+        ImageSelection one = select;
+        one.mip = level;
+        return one;
+    }
+};
+/// @param range  whether N:M is taken: a tool that writes a file for each level.
+void add_selection_options(App& app, SelectionOptions& options, bool range);
 
 }  // namespace spectex::app

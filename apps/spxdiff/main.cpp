@@ -21,6 +21,7 @@ int main(int argc, char** argv) {
     std::string metric_text = "ciede2000", map, input_colorspace;
     std::optional<double> fail_mean, fail_p99, fail_max;
     UpliftOptionSet set;
+    SelectionOptions selection;
     app.positional("FILE", &arguments, 1, App::unlimited, "A and B; or the textures of --roundtrip or --metamerism");
     app.group("Difference");
     app.flag("--roundtrip", &roundtrip, "uplift, store and reproject in memory, against the linearised input");
@@ -35,6 +36,8 @@ int main(int argc, char** argv) {
     app.number("--fail-mean", "X", &fail_mean, 0, infinity, "", "exit 1 when the mean is above X");
     app.number("--fail-p99", "X", &fail_p99, 0, infinity, "", "exit 1 when the 99th percentile is above X");
     app.number("--fail-max", "X", &fail_max, 0, infinity, "", "exit 1 when the largest is above X");
+    app.group("Input");
+    add_selection_options(app, selection, false);
     add_input_colorspace(app, input_colorspace);
     add_uplift_options(app, set);
 
@@ -43,6 +46,7 @@ int main(int argc, char** argv) {
         if (!metric) return app.report(metric.error());
         const auto inputs = app.inputs(arguments);
         if (!inputs) return app.report(inputs.error());
+        if (const auto s = selection.check(); !s) return app.report(s.error());
         if (roundtrip && metamerism) return app.usage_error("--roundtrip excludes --metamerism: expected one of them");
         if (!roundtrip && !metamerism && inputs->size() != 2)
             return app.usage_error(fmt::format("{} files: expected two, A and B; or --roundtrip or --metamerism", inputs->size()));
@@ -106,6 +110,7 @@ int main(int argc, char** argv) {
             code = app.each(jobs, [&](const Job& job) -> Result<Json> {
                 const auto progress = app.progress(job.input);
                 lit.job = job_options(app, progress, input_colorspace);
+                lit.job.select = selection.at(selection.levels[0]);
                 const auto report = compare_metamerism(job.input, lit);
                 if (!report) return report.error();
                 explain(app, job.input, report->explanation);
@@ -142,6 +147,7 @@ int main(int argc, char** argv) {
             code = app.each(jobs, [&](const Job& job) -> Result<Json> {
                 const auto progress = app.progress(job.input);
                 options.job = job_options(app, progress, input_colorspace);
+                options.job.select = selection.at(selection.levels[0]);
                 if (app.explaining()) {
                     UpliftOptions uplift;
                     uplift.settings = *settings;
@@ -171,6 +177,7 @@ int main(int argc, char** argv) {
         } else {
             const auto progress = app.progress((*inputs)[0]);
             options.job = job_options(app, progress, input_colorspace);
+            options.job.select = selection.at(selection.levels[0]);
             const auto report = compare_files((*inputs)[0], (*inputs)[1], options);
             if (!report) return app.report(report.error());
             const Explanation lines = {{"A", fmt::format("{} ({})", report->a.colorspace, report->a.colorspace_reason)},

@@ -60,14 +60,16 @@ Status bake_to(App& app, const std::string& path, const std::vector<std::string>
 }
 
 int sheet_of(App& app, const std::vector<std::string>& inputs, const std::string& sheet, RelightOptions& options,
-             const std::string& input_colorspace) {
+             const std::string& input_colorspace, const SelectionOptions& selection) {
     if (inputs.size() != 1) return app.usage_error(fmt::format("--contact-sheet: {} inputs, expected one", inputs.size()));
+    if (selection.levels.size() != 1) return app.usage_error(fmt::format("--contact-sheet: {} mip levels, expected one", selection.levels.size()));
     for (const char* option : {"--output-colorspace", "--half", "--float", "--uint16", "--compression"})
         if (app.given(option)) return app.usage_error(fmt::format("--contact-sheet is 8-bit sRGB: {} does not apply", option));
     const NamedOutput outputs[] = {{"--contact-sheet", sheet}};
     if (auto s = check_outputs(inputs, outputs); !s) return app.report(s.error());
     const auto progress = app.progress(inputs[0]);
     options.job = job_options(app, progress, input_colorspace);
+    options.job.select = selection.at(selection.levels[0]);
     if (app.explaining()) {
         const auto lines = explain_relight(inputs[0], {}, options);
         if (!lines) return app.report(lines.error());
@@ -116,6 +118,7 @@ int main(int argc, char** argv) {
     ColorimetryOptions colorimetry;
     MethodOptions method;
     OutputOptions out;
+    SelectionOptions selection;
     app.positional("IN", &arguments, 0, App::unlimited, "RGB textures, coefficient EXRs, spectral EXRs; wildcards are expanded");
     app.group("Light");
     app.list("-i,--illuminant", "ILLUMINANT[,...]", &names,
@@ -147,6 +150,8 @@ int main(int argc, char** argv) {
     app.text("--contact-sheet", "OUT.png", &sheet,
              "instead of -o: one picture of all lights, each with its colour temperature and its difference from D65");
     add_output_options(app, out);
+    app.group("Input");
+    add_selection_options(app, selection, true);
     add_input_colorspace(app, input_colorspace);
     add_method_options(app, method);
     add_colorimetry_options(app, colorimetry, "--reference-illuminant");
@@ -198,12 +203,14 @@ int main(int argc, char** argv) {
         }
         const auto inputs = app.inputs(arguments);
         if (!inputs) return app.report(inputs.error());
-        if (!sheet.empty()) return sheet_of(app, *inputs, sheet, options, input_colorspace);
-        const auto jobs = plan_outputs(*inputs, output, ".exr", shown);
+        if (const auto s = selection.check(); !s) return app.report(s.error());
+        if (!sheet.empty()) return sheet_of(app, *inputs, sheet, options, input_colorspace, selection);
+        const auto jobs = plan_outputs(*inputs, output, ".exr", shown, selection.levels);
         if (!jobs) return app.report(jobs.error());
-        return app.each(*jobs, [&](const Job& job) -> Result<Json> {
+        return app.each_distinct(*jobs, [&](const Job& job) -> Result<Json> {
             const auto progress = app.progress(job.input);
             options.job = job_options(app, progress, input_colorspace);
+            options.job.select = selection.at(job.mip);
             if (app.explaining()) {
                 const auto lines = explain_relight(job.input, job.outputs, options);
                 if (!lines) return lines.error();
@@ -213,6 +220,7 @@ int main(int argc, char** argv) {
             if (!report) return report.error();
             warn_about(app, report->input);
             Json json = to_json(report->input);
+            if (job.mip > 0 || selection.levels.size() > 1) json["mip"] = job.mip;
             json["kind"] = report->kind == FileKind::image ? "image" : report->kind == FileKind::spectral ? "spectral" : "coefficients";
             Json list = Json::array();
             for (const auto& o : report->outputs) {

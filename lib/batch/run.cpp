@@ -80,12 +80,8 @@ Status make_folders(const std::string& folder) {
 /// A file's bytes under another name, complete or not at all.
 Status copy_file(const std::string& from, const std::string& to) {
     if (auto s = make_folders(fs::path(to).parent_path().string()); !s) return s;
-    auto out = OutputFile::create(to);
-    if (!out) return Error{ErrorKind::output, out.error().message};
-    std::error_code error;
-    fs::copy_file(from, out->temporary_path(), fs::copy_options::overwrite_existing, error);
-    if (error) return Error{ErrorKind::output, fmt::format("{}: cannot copy {}: {}", to, from, error.message())};
-    return out->commit();
+    auto copied = copy_output(from, to);
+    return copied ? Status() : Status(Error{ErrorKind::output, copied.error().message});
 }
 
 class Run {

@@ -47,6 +47,21 @@ int block_rows(Imf::Compression c) {
 
 std::int64_t imf_bytes(Imf::PixelType type) { return type == Imf::HALF ? 2 : 4; }
 
+/// Pixels of one side at a level.
+std::int64_t level_size(std::int64_t full, int level, bool up) {
+    const std::int64_t step = std::int64_t{1} << level;
+    return std::max<std::int64_t>((full + (up ? step - 1 : 0)) / step, 1);
+}
+
+/// Levels until one pixel; of a ripmap, as many as both sides have.
+int level_count(const Imf::TileDescription& t, std::int64_t width, std::int64_t height) {
+    const std::int64_t side = t.mode == Imf::RIPMAP_LEVELS ? std::min(width, height) : std::max(width, height);
+    const bool up = t.roundingMode == Imf::ROUND_UP;
+    int levels = 1;
+    while (level_size(side, levels - 1, up) > 1) ++levels;
+    return levels;
+}
+
 template <std::size_t Sample>
 void spread(const std::byte* in, std::size_t n, std::byte* out, std::size_t stride) {
     for (std::size_t i = 0; i < n; ++i, in += Sample, out += stride) std::memcpy(out, in, Sample);
@@ -168,6 +183,11 @@ Result<ExrPartInfo> ExrInput::describe(int index, const Limits& limits) const {
             return input_error(path_, fmt::format("declares rows of tiles of {} x {} pixels; the limit is {} bytes", width,
                                                   rows, 4 * limits.max_row_bytes));
         info.block_rows = static_cast<int>(rows);
+        if (t.mode != Imf::ONE_LEVEL) info.mip_levels = level_count(t, width, height);
+    }
+    for (int level = 0; level < info.mip_levels; ++level) {
+        const bool up = h.hasTileDescription() && h.tileDescription().roundingMode == Imf::ROUND_UP;
+        info.mip_pixels += level_size(width, level, up) * level_size(height, level, up);
     }
     return info;
 }
@@ -311,8 +331,19 @@ namespace {
 
 class ExrImageReader final : public ImageReader {
 public:
-    ExrImageReader(std::unique_ptr<ExrInput> input, ImageHeader header, int rows)
-        : input_(std::move(input)), header_(std::move(header)), rows_(rows) {}
+    /// @param part  that holds the channels.
+    ExrImageReader(std::unique_ptr<ExrInput> input, ImageHeader header, int rows, int part)
+        : input_(std::move(input)), header_(std::move(header)), rows_(rows), part_(part) {
+        if (header_.mip == 0) {
+            // Everything is allocated at the first read; a part that cannot be opened must fail here.
+            (void)input_->part(part_);
+            return;
+        }
+        tiles_ = input_->tiles(part_);
+        const Imath::Box2i window = tiles_->dataWindowForLevel(header_.mip, header_.mip);
+        if (window.max.x - window.min.x + 1 != header_.geometry.width || window.max.y - window.min.y + 1 != header_.geometry.height)
+            throw std::runtime_error(fmt::format("level {} has another size than its header says", header_.mip));
+    }
     const ImageHeader& header() const override { return header_; }
     int preferred_rows() const override { return rows_; }
 
@@ -322,13 +353,10 @@ public:
             return input_error(header_.path, fmt::format("has no rows {}..{}", y, y + rows - 1));
         if (rows == 0) return {};
         auto status = guarded(ErrorKind::input, header_.path, [&]() -> Status {
-            const std::size_t sample = pixel_bytes(header_.type), pixel = sample * header_.channels.size();
-            Imf::FrameBuffer frame;
-            for (std::size_t c = 0; c < header_.channels.size(); ++c)
-                frame.insert(header_.channels[c],
-                             exr_slice(header_.type == PixelType::half ? Imf::HALF : Imf::FLOAT, out + c * sample, pixel,
-                                       pixel * static_cast<std::size_t>(g.width), g, y));
-            input_->read(0, frame, y, rows);
+            if (tiles_)
+                read_level(y, rows, out);
+            else
+                input_->read(part_, frame(out, y), y, rows);
             return {};
         });
         if (status) return {};
@@ -336,30 +364,135 @@ public:
     }
 
 private:
+    std::size_t row_bytes() const {
+        return pixel_bytes(header_.type) * header_.channels.size() * static_cast<std::size_t>(header_.geometry.width);
+    }
+    /// Slices of interleaved samples that begin with row y.
+    Imf::FrameBuffer frame(std::byte* out, int y) const {
+        const std::size_t sample = pixel_bytes(header_.type), pixel = sample * header_.channels.size();
+        Imf::FrameBuffer frame;
+        for (std::size_t c = 0; c < header_.channels.size(); ++c)
+            frame.insert(header_.channels[c], exr_slice(header_.type == PixelType::half ? Imf::HALF : Imf::FLOAT, out + c * sample, pixel,
+                                                        row_bytes(), header_.geometry, y));
+        return frame;
+    }
+    void read_level(int y, int rows, std::byte* out) {
+        const int tile = static_cast<int>(tiles_->tileYSize()), height = header_.geometry.height, end = y + rows, level = header_.mip;
+        const auto read = [&](int first, int last, std::byte* to) {
+            tiles_->setFrameBuffer(frame(to, first));
+            tiles_->readTiles(0, tiles_->numXTiles(level) - 1, first / tile, (last - 1) / tile, level, level);
+        };
+        while (y < end) {
+            const int first = y / tile * tile, whole_end = end == height ? end : end / tile * tile;
+            int count = whole_end - y;
+            if (y == first && count > 0) {
+                read(y, whole_end, out);
+            } else {
+                // Part of a row of tiles, whose other rows are asked for next.
+                const int last = std::min(first + tile, height);
+                if (kept_row_ != first) {
+                    kept_.resize(row_bytes() * static_cast<std::size_t>(last - first));
+                    kept_row_ = -1;
+                    read(first, last, kept_.data());
+                    kept_row_ = first;
+                }
+                count = std::min(end, last) - y;
+                std::memcpy(out, kept_.data() + row_bytes() * static_cast<std::size_t>(y - first), row_bytes() * static_cast<std::size_t>(count));
+            }
+            out += row_bytes() * static_cast<std::size_t>(count);
+            y += count;
+        }
+    }
+
     std::unique_ptr<ExrInput> input_;
     ImageHeader header_;
     int rows_;
+    int part_ = 0;
+    std::unique_ptr<Imf::TiledInputPart> tiles_;  // of a level other than the first
+    std::vector<std::byte> kept_;
+    int kept_row_ = -1;
 };
+
+/// The part that holds the layer or the channels that are asked for; the first one otherwise.
+/// @param selection  loses its layer where that is the part's own name.
+Result<int> choose_part(const std::string& path, const ExrInput& input, ImageSelection& selection) {
+    if (!selection.names_channels()) return 0;
+    const auto names_of = [&](int part) {
+        ImageHeader header;
+        header.path = path;
+        for (auto c = input.header(part).channels().begin(); c != input.header(part).channels().end(); ++c) header.channels.emplace_back(c.name());
+        return header;
+    };
+    Error why;
+    for (int part = 0; part < input.parts(); ++part) {
+        auto header = names_of(part);
+        const auto found = assign_channels(header, selection);
+        if (found) return part;
+        if (part == 0) why = found.error();
+    }
+    for (int part = 0; part < input.parts() && !selection.layer.empty(); ++part) {
+        if (!input.header(part).hasName() || input.header(part).name() != selection.layer) continue;
+        auto header = names_of(part);
+        if (assign_channels(header) && header.has_color()) {
+            selection.layer.clear();
+            // Beside colour and alpha nothing of the part was asked for.
+            for (const int index : header.color)
+                if (selection.channels.empty() || header.color[0] != header.color[1])
+                    selection.channels.push_back(header.channels[static_cast<std::size_t>(index)]);
+            if (header.alpha >= 0) selection.channels.push_back(header.channels[static_cast<std::size_t>(header.alpha)]);
+            return part;
+        }
+    }
+    if (input.parts() > 1) {
+        std::string parts;
+        for (int part = 0; part < input.parts(); ++part) parts += (part > 0 ? ", " : "") + (input.header(part).hasName() ? input.header(part).name() : fmt::format("part {}", part));
+        why.message += fmt::format(" or those of its parts {}", parts);
+    }
+    return why;
+}
 
 }  // namespace
 
-Result<std::unique_ptr<ImageReader>> open_exr_image(const std::string& path, int threads, const Limits& limits) {
+Result<std::unique_ptr<ImageReader>> open_exr_image(const std::string& path, int threads, const Limits& limits,
+                                                    const ImageSelection& wanted) {
     using Out = Result<std::unique_ptr<ImageReader>>;
     auto input = ExrInput::open(path, threads);
     if (!input) return input.error();
     return guarded(ErrorKind::input, path, [&]() -> Out {
-        auto info = (*input)->describe(0, limits);
+        ImageSelection selection = wanted;
+        const auto part = choose_part(path, **input, selection);
+        if (!part) return part.error();
+        auto info = (*input)->describe(*part, limits);
         if (!info) return info.error();
-        const Imf::Header& h = (*input)->header(0);
+        const Imf::Header& h = (*input)->header(*part);
         ImageHeader header;
         header.path = path;
         header.format = "openexr";
         header.geometry = info->geometry;
         header.subimages = (*input)->parts();
+        for (auto c = h.channels().begin(); c != h.channels().end(); ++c) header.channels.emplace_back(c.name());
+        if (auto ok = assign_channels(header, selection); !ok) return ok.error();
+        if (!header.left_out.empty()) (void)drop_left_out(header);
         header.type = PixelType::half;
-        for (auto c = h.channels().begin(); c != h.channels().end(); ++c) {
-            header.channels.emplace_back(c.name());
-            if (c.channel().type != Imf::HALF) header.type = PixelType::float32;
+        for (const auto& name : header.channels)
+            if (h.channels().findChannel(name)->type != Imf::HALF) header.type = PixelType::float32;
+        for (int other = 0; other < (*input)->parts() && selection.names_channels(); ++other) {
+            if (other == *part) continue;
+            const Imf::Header& o = (*input)->header(other);
+            for (auto c = o.channels().begin(); c != o.channels().end(); ++c)
+                header.left_out.push_back(fmt::format("{}:{}", o.hasName() ? o.name() : std::to_string(other), c.name()));
+        }
+        if (auto ok = check_level(path, selection, info->mip_levels); !ok) return ok.error();
+        header.mip = selection.mip;
+        header.mip_levels = info->mip_levels;
+        header.mip_pixels = info->mip_pixels;
+        if (header.mip > 0) {
+            const bool up = h.tileDescription().roundingMode == Imf::ROUND_UP;
+            Geometry& g = header.geometry;
+            g.width = static_cast<int>(level_size(g.width, header.mip, up));
+            g.height = static_cast<int>(level_size(g.height, header.mip, up));
+            // OpenEXR leaves a level's origin where that of the full size is, so no window around it keeps its place.
+            g.full_x = g.x, g.full_y = g.y, g.full_width = g.width, g.full_height = g.height;
         }
         // The widened row may be larger than the file's own.
         if (auto ok = check_limits(path, limits, info->geometry.width, info->geometry.height,
@@ -367,7 +500,6 @@ Result<std::unique_ptr<ImageReader>> open_exr_image(const std::string& path, int
                                    static_cast<std::int64_t>(header.channels.size() * pixel_bytes(header.type)));
             !ok)
             return ok.error();
-        assign_channels(header);
         header.alpha_associated = header.alpha >= 0;
 
         read_exr_attributes(h, header.metadata);
@@ -389,10 +521,8 @@ Result<std::unique_ptr<ImageReader>> open_exr_image(const std::string& path, int
                               it->first.starts_with("oiio:") || it->first.starts_with("openexr:") || it->first == "ICCProfile";
             it = ours ? header.metadata.erase(it) : std::next(it);
         }
-        const int rows = rows_per_call(info->block_rows, info->geometry.height);
-        // Everything is allocated at the first read; a part that cannot be opened must fail here.
-        (void)(*input)->part(0);
-        return std::unique_ptr<ImageReader>(std::make_unique<ExrImageReader>(std::move(*input), std::move(header), rows));
+        const int rows = rows_per_call(info->block_rows, header.geometry.height);
+        return std::unique_ptr<ImageReader>(std::make_unique<ExrImageReader>(std::move(*input), std::move(header), rows, *part));
     });
 }
 

@@ -6,6 +6,7 @@
 #include <OpenEXR/ImfHeader.h>
 #include <OpenEXR/ImfInputPart.h>
 #include <OpenEXR/ImfMultiPartInputFile.h>
+#include <OpenEXR/ImfTiledInputPart.h>
 
 #include <memory>
 
@@ -18,6 +19,8 @@ struct ExrPartInfo {
     std::int64_t pixel_bytes = 0;  ///< over all channels
     int block_rows = 1;            ///< rows that are compressed together, or of a tile
     bool deep = false;
+    int mip_levels = 1;            ///< of a part of tiles; of a ripmap, those that are halved both ways
+    std::int64_t mip_pixels = 0;   ///< over these levels
 };
 
 class ExrInput {
@@ -36,6 +39,8 @@ public:
     /// unpacked by all threads; every other layout, and whatever is damaged, is left to OpenEXR.
     /// @throws what OpenEXR does.
     void read(int part, const Imf::FrameBuffer& frame, int y, int rows);
+    /// The tiles of a level other than the first, in place of part(), which must not be asked for the same part as well.
+    std::unique_ptr<Imf::TiledInputPart> tiles(int part) { return std::make_unique<Imf::TiledInputPart>(*file_, part); }
 
 private:
     struct ZipPart;

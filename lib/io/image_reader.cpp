@@ -120,8 +120,10 @@ ColorHints color_hints(const OIIO::ImageSpec& spec, const std::string& format, c
 
 class OiioReader final : public ImageReader {
 public:
-    OiioReader(std::unique_ptr<OIIO::ImageInput> input, ImageHeader header, const OIIO::ImageSpec& spec)
-        : input_(std::move(input)), header_(std::move(header)), spec_(spec) {
+    /// @param first  channel of the file that is the first of header.channels, which follow each other in the file.
+    OiioReader(std::unique_ptr<OIIO::ImageInput> input, ImageHeader header, const OIIO::ImageSpec& spec, int first)
+        : input_(std::move(input)), header_(std::move(header)), spec_(spec), first_(first),
+          end_(first + static_cast<int>(header_.channels.size())) {
         const int height = header_.geometry.height;
         const int block = spec.tile_width > 0 ? std::min(spec.tile_height, height)
                                               : std::clamp(spec.get_int_attribute("tiff:RowsPerStrip", 1), 1, 1024);
@@ -151,16 +153,14 @@ private:
                                                      why.empty() ? "truncated or damaged" : why));
     }
     Status read_lines(int y0, int y1, std::byte* out) {
-        const int nch = static_cast<int>(header_.channels.size());
-        if (!input_->read_scanlines(0, 0, spec_.y + y0, spec_.y + y1, 0, 0, nch, oiio_type(header_.type), out))
+        if (!input_->read_scanlines(0, header_.mip, spec_.y + y0, spec_.y + y1, 0, first_, end_, oiio_type(header_.type), out))
             return failure(y0, y1);
         // libpng and others put a warning here and go on with what they have.
         if (input_->has_error()) return failure(y0, y1);
         return {};
     }
     Status read_tile_rows(int y0, int y1, std::byte* out) {
-        const int nch = static_cast<int>(header_.channels.size());
-        if (!input_->read_tiles(0, 0, spec_.x, spec_.x + spec_.width, spec_.y + y0, spec_.y + y1, 0, 1, 0, nch,
+        if (!input_->read_tiles(0, header_.mip, spec_.x, spec_.x + spec_.width, spec_.y + y0, spec_.y + y1, 0, 1, first_, end_,
                                 oiio_type(header_.type), out) ||
             input_->has_error())
             return failure(y0, y1);
@@ -196,6 +196,7 @@ private:
     std::unique_ptr<OIIO::ImageInput> input_;
     ImageHeader header_;
     OIIO::ImageSpec spec_;
+    int first_ = 0, end_ = 0;
     int rows_ = 1;
     std::vector<std::byte> cache_;
     int cached_ = -1;
@@ -221,7 +222,17 @@ int tiff_subimages(OIIO::ImageInput& input) {
     return n;
 }
 
-Result<std::unique_ptr<ImageReader>> open_oiio(const std::string& path, int threads, const Limits& limits) {
+/// Sizes of the levels of the first picture. Leaves the input at one of them.
+std::vector<std::array<int, 2>> mip_sizes(OIIO::ImageInput& input) {
+    std::vector<std::array<int, 2>> sizes;
+    // A picture halved this often is one pixel.
+    while (sizes.size() < 32 && input.seek_subimage(0, static_cast<int>(sizes.size())))
+        sizes.push_back({input.spec().width, input.spec().height});
+    (void)input.geterror();
+    return sizes;
+}
+
+Result<std::unique_ptr<ImageReader>> open_oiio(const std::string& path, int threads, const Limits& limits, const ImageSelection& selection) {
     auto facts = read_file_facts(path);
     if (!facts) return facts.error();
     const int count = prepare_threads(threads);
@@ -232,12 +243,25 @@ Result<std::unique_ptr<ImageReader>> open_oiio(const std::string& path, int thre
         return input_error(path, why.empty() ? "is in no format that can be read" : why);
     }
     input->threads(count);
-    const OIIO::ImageSpec spec = input->spec();
-    if (auto ok = refuse_unusable(path, spec); !ok) return ok.error();
+    const OIIO::ImageSpec whole = input->spec();
+    if (auto ok = refuse_unusable(path, whole); !ok) return ok.error();
 
     ImageHeader header;
     header.path = path;
     header.format = input->format_name();
+    header.mip = selection.mip;
+    header.mip_pixels = std::int64_t{whole.width} * whole.height;
+    if (header.format == "tiff" || header.format == "dds") {
+        const auto sizes = mip_sizes(*input);
+        if (auto ok = check_level(path, selection, static_cast<int>(sizes.size())); !ok) return ok.error();
+        header.mip_levels = static_cast<int>(sizes.size());
+        header.mip_pixels = 0;
+        for (const auto& [width, height] : sizes) header.mip_pixels += std::int64_t{width} * height;
+        if (!input->seek_subimage(0, selection.mip)) return input_error(path, fmt::format("cannot go to its level {}", selection.mip));
+    } else if (auto ok = check_level(path, selection, 1); !ok) {
+        return ok.error();
+    }
+    const OIIO::ImageSpec spec = input->spec();
     Geometry& g = header.geometry;
     g.width = spec.width;
     g.height = spec.height;
@@ -264,18 +288,35 @@ Result<std::unique_ptr<ImageReader>> open_oiio(const std::string& path, int thre
         return input_error(path, fmt::format("declares rows of tiles of {} x {} pixels; the limit is {} bytes", spec.width,
                                              spec.tile_height, 4 * limits.max_row_bytes));
     header.channels.assign(spec.channelnames.begin(), spec.channelnames.end());
-    assign_channels(header);
+    if (auto ok = assign_channels(header, selection); !ok) return ok.error();
     // OpenImageIO's WebP decoder premultiplies whatever is asked of it.
     header.alpha_associated = header.alpha >= 0 && (header.format == "webp" || (header.format == "tiff" &&
-                              spec.get_int_attribute("oiio:UnassociatedAlpha", 0) == 0));
-    header.color_hints = color_hints(spec, header.format, *facts);
-    read_metadata(spec, header.metadata);
+                              whole.get_int_attribute("oiio:UnassociatedAlpha", 0) == 0));
+    // What is said once is said of the full size.
+    header.color_hints = color_hints(whole, header.format, *facts);
+    read_metadata(whole, header.metadata);
     if (auto png = open_png(header, *facts)) return png;
     if (header.format == "tiff" || header.format == "gif") {
         header.subimages = tiff_subimages(*input);
-        if (!input->seek_subimage(0, 0)) return input_error(path, "cannot go back to its first image");
+        if (!input->seek_subimage(0, header.mip)) return input_error(path, "cannot go back to its first image");
     }
-    return std::unique_ptr<ImageReader>(std::make_unique<OiioReader>(std::move(input), std::move(header), spec));
+    int first = 0;
+    if (!header.left_out.empty()) {
+        // OpenImageIO hands over channels that follow each other; those between chosen ones come along and are passed over.
+        const std::size_t all = header.channels.size();
+        ImageHeader narrow = header;
+        const auto kept = drop_left_out(narrow);
+        first = kept.front();
+        const auto count = static_cast<std::size_t>(kept.back() - first + 1);
+        if (count < all) {
+            const auto begin = header.channels.begin() + first;
+            header.channels = std::vector<std::string>(begin, begin + static_cast<std::ptrdiff_t>(count));
+            for (int& index : header.color) index -= first;
+            for (int& index : header.others) index -= first;
+            if (header.alpha >= 0) header.alpha -= first;
+        }
+    }
+    return std::unique_ptr<ImageReader>(std::make_unique<OiioReader>(std::move(input), std::move(header), spec, first));
 }
 
 }  // namespace
@@ -285,12 +326,13 @@ namespace spectex {
 
 ImageReader::~ImageReader() = default;
 
-Result<std::unique_ptr<ImageReader>> ImageReader::open(const std::string& path, int threads, const Limits& limits) {
+Result<std::unique_ptr<ImageReader>> ImageReader::open(const std::string& path, int threads, const Limits& limits,
+                                                       const ImageSelection& selection) {
     using Out = Result<std::unique_ptr<ImageReader>>;
     return io::guarded(ErrorKind::input, path, [&]() -> Out {
         auto exr = io::is_exr(path);
         if (!exr) return exr.error();
-        return *exr ? io::open_exr_image(path, threads, limits) : io::open_oiio(path, threads, limits);
+        return *exr ? io::open_exr_image(path, threads, limits, selection) : io::open_oiio(path, threads, limits, selection);
     });
 }
 

@@ -80,8 +80,13 @@ private:
 Status check_limits(const std::string& path, const Limits& limits, std::int64_t width, std::int64_t height,
                     std::int64_t channels, std::int64_t pixel_bytes);
 
-/// Finds colour and alpha among the names and fills header.color, alpha and others.
-void assign_channels(ImageHeader& header);
+/// Finds colour and alpha among the names, or takes those that are selected, and fills header.color, alpha, others and
+/// left_out. @error input, when the file has not the channels that are asked for.
+Status assign_channels(ImageHeader& header, const ImageSelection& selection = {});
+/// Drops the channels that are neither colour nor in `others` from header.channels. @return the old indices of those that stay.
+std::vector<int> drop_left_out(ImageHeader& header);
+/// @error input, when the file has fewer levels.
+Status check_level(const std::string& path, const ImageSelection& selection, int levels);
 
 /// Attributes of hostile size or number are left out.
 inline constexpr std::size_t max_attribute_bytes = std::size_t{1} << 16;
@@ -107,6 +112,7 @@ Result<FileFacts> read_file_facts(const std::string& path);
 /// @error input.
 Status check_exr_header(const std::string& path);
 
-Result<std::unique_ptr<ImageReader>> open_exr_image(const std::string& path, int threads, const Limits& limits);
+Result<std::unique_ptr<ImageReader>> open_exr_image(const std::string& path, int threads, const Limits& limits,
+                                                    const ImageSelection& selection);
 
 }  // namespace spectex::io

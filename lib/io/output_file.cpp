@@ -1,8 +1,10 @@
 // Temporary files beside their destinations, and the registry that a signal handler can clear.
 #include <dirent.h>
 #include <fcntl.h>
+#include <linux/fs.h>
 #include <signal.h>
 #include <sys/file.h>
+#include <sys/ioctl.h>
 #include <sys/stat.h>
 #include <unistd.h>
 
@@ -224,6 +226,32 @@ Status OutputFile::commit() {
     release(slot_);
     temporary_.clear();
     return sync_folder(destination_, folder_of(target_));
+}
+
+Status copy_output(const std::string& from, const std::string& to) {
+    auto file = OutputFile::create(to);
+    if (!file) return file.error();
+    const int in = ::open(from.c_str(), O_RDONLY | O_CLOEXEC);
+    if (in < 0) return output_error(to, fmt::format("cannot copy {}: {}", from, errno_text(errno)));
+    const int out = ::open(file->temporary_path().c_str(), O_WRONLY | O_CLOEXEC);
+    int code = out < 0 ? errno : 0;
+    if (code == 0 && ::ioctl(out, FICLONE, in) != 0) {
+        std::vector<char> buffer(std::size_t{1} << 20);
+        while (code == 0) {
+            const ssize_t n = ::read(in, buffer.data(), buffer.size());
+            if (n < 0 && errno != EINTR) code = errno;
+            if (n == 0) break;
+            for (ssize_t done = 0; code == 0 && done < n;) {
+                const ssize_t written = ::write(out, buffer.data() + done, static_cast<std::size_t>(n - done));
+                if (written > 0) done += written;
+                if (written < 0 && errno != EINTR) code = errno;
+            }
+        }
+    }
+    ::close(in);
+    if (out >= 0 && ::close(out) != 0 && code == 0) code = errno;
+    if (code != 0) return output_error(to, fmt::format("cannot copy {}: {}", from, errno_text(code)));
+    return file->commit();
 }
 
 Status write_text_file(const std::string& destination, std::string_view text) {

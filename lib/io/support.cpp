@@ -12,6 +12,8 @@
 #include <system_error>
 #include <thread>
 
+#include <fmt/ranges.h>
+
 namespace spectex {
 
 std::size_t pixel_bytes(PixelType type) {
@@ -162,7 +164,14 @@ int find(const std::vector<Parsed>& names, std::string_view layer, std::initiali
 
 }  // namespace
 
-void assign_channels(ImageHeader& header) {
+Status check_level(const std::string& path, const ImageSelection& selection, int levels) {
+    if (selection.mip < levels) return {};
+    return input_error(path, levels == 1 ? fmt::format("has no mip levels, so no level {}: expected a file that has them, as maketx makes, or level 0",
+                                                       selection.mip)
+                                         : fmt::format("has no mip level {}: expected 0 to {}", selection.mip, levels - 1));
+}
+
+Status assign_channels(ImageHeader& header, const ImageSelection& selection) {
     std::vector<Parsed> names;
     for (const std::string& name : header.channels) {
         const auto dot = name.find_last_of('.');
@@ -180,34 +189,79 @@ void assign_channels(ImageHeader& header) {
         header.alpha = find(names, layer, {"A", "alpha"});
         return true;
     };
+    const auto take_grey = [&](const std::string& layer) {
+        // Luminance beside BY and RY is not grey: the colour is in the two others, at a quarter of the resolution.
+        const int y = find(names, layer, {"Y", "L", "I", "luminance", "gray", "grey"});
+        if (y < 0 || find(names, layer, {"BY"}) >= 0 || find(names, layer, {"RY"}) >= 0) return false;
+        header.color = {y, y, y};
+        header.alpha = find(names, layer, {"A", "alpha"});
+        return true;
+    };
     header.color = {-1, -1, -1};
     header.alpha = -1;
-    bool found = take("");
-    if (!found) {
-        // Luminance beside BY and RY is not grey: the colour is in the two others, at a quarter of the resolution.
-        const int y = find(names, "", {"Y", "L", "I", "luminance", "gray", "grey"});
-        const bool chroma = find(names, "", {"BY"}) >= 0 || find(names, "", {"RY"}) >= 0;
-        if (y >= 0 && !chroma) {
-            header.color = {y, y, y};
-            header.alpha = find(names, "", {"A", "alpha"});
+    if (!selection.layer.empty()) {
+        if (!take(selection.layer) && !take_grey(selection.layer))
+            return input_error(header.path, fmt::format("has no layer '{0}' of colour: expected {0}.R, {0}.G, {0}.B or {0}.Y among its channels {1}",
+                                                        selection.layer, fmt::join(header.channels, ", ")));
+    } else if (!selection.channels.empty()) {
+        std::vector<int> chosen;
+        for (const auto& name : selection.channels) {
+            const auto at = std::find(header.channels.begin(), header.channels.end(), name);
+            if (at == header.channels.end())
+                return input_error(header.path, fmt::format("has no channel '{}': expected one of {}", name, fmt::join(header.channels, ", ")));
+            chosen.push_back(static_cast<int>(at - header.channels.begin()));
+        }
+        const bool grey = chosen.size() < 3;
+        header.color = {chosen[0], chosen[grey ? 0 : 1], chosen[grey ? 0 : 2]};
+        if (chosen.size() % 2 == 0) header.alpha = chosen.back();
+    } else {
+        bool found = take("") || take_grey("");
+        const auto no_colour = {"z", "depth", "a", "alpha"};
+        if (!found && names.size() == 1 && std::find(no_colour.begin(), no_colour.end(), names[0].base_lower) == no_colour.end()) {
+            header.color = {0, 0, 0};
             found = true;
         }
+        // Two channels of SGI and TGA are grey and alpha, though OpenImageIO calls them R and G.
+        if (!found && names.size() == 2 && (header.format == "sgi" || header.format == "targa") && names[0].base == "R" && names[1].base == "G") {
+            header.color = {0, 0, 0};
+            header.alpha = 1;
+            found = true;
+        }
+        for (std::size_t i = 0; !found && i < names.size(); ++i) found = take(names[i].layer);
     }
-    const auto no_colour = {"z", "depth", "a", "alpha"};
-    if (!found && names.size() == 1 && std::find(no_colour.begin(), no_colour.end(), names[0].base_lower) == no_colour.end()) {
-        header.color = {0, 0, 0};
-        found = true;
-    }
-    // Two channels of SGI and TGA are grey and alpha, though OpenImageIO calls them R and G.
-    if (!found && names.size() == 2 && (header.format == "sgi" || header.format == "targa") && names[0].base == "R" && names[1].base == "G") {
-        header.color = {0, 0, 0};
-        header.alpha = 1;
-        found = true;
-    }
-    for (std::size_t i = 0; !found && i < names.size(); ++i) found = take(names[i].layer);
     header.others.clear();
-    for (int i = 0; i < static_cast<int>(names.size()); ++i)
-        if (i != header.color[0] && i != header.color[1] && i != header.color[2]) header.others.push_back(i);
+    header.left_out.clear();
+    if (selection.color_only && header.has_color()) header.alpha = -1;
+    for (int i = 0; i < static_cast<int>(names.size()); ++i) {
+        if (i == header.color[0] || i == header.color[1] || i == header.color[2]) continue;
+        const bool wanted = i == header.alpha || !(selection.names_channels() || (selection.color_only && header.has_color()));
+        if (wanted)
+            header.others.push_back(i);
+        else
+            header.left_out.push_back(header.channels[static_cast<std::size_t>(i)]);
+    }
+    return {};
+}
+
+std::vector<int> drop_left_out(ImageHeader& header) {
+    std::vector<int> kept, moved(header.channels.size(), -1);
+    std::vector<std::string> names;
+    for (int i = 0; i < static_cast<int>(header.channels.size()); ++i) {
+        const bool wanted = i == header.color[0] || i == header.color[1] || i == header.color[2] ||
+                            std::find(header.others.begin(), header.others.end(), i) != header.others.end();
+        if (!wanted) continue;
+        moved[static_cast<std::size_t>(i)] = static_cast<int>(kept.size());
+        kept.push_back(i);
+        names.push_back(header.channels[static_cast<std::size_t>(i)]);
+    }
+    const auto move = [&](int& index) {
+        if (index >= 0) index = moved[static_cast<std::size_t>(index)];
+    };
+    for (int& index : header.color) move(index);
+    for (int& index : header.others) move(index);
+    move(header.alpha);
+    header.channels = std::move(names);
+    return kept;
 }
 
 }  // namespace spectex::io

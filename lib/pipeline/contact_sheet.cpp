@@ -139,6 +139,7 @@ Result<ContactSheetReport> contact_sheet(const std::string& input, const std::st
     auto d65 = parse_illuminant("D65");
     if (!d65) return std::move(d65).error();
     with_reference.illuminants.push_back(*std::move(d65));
+    with_reference.job.select.color_only = true;
     auto made = RelightSetup::make(input, with_reference);
     if (!made) return std::move(made).error();
     const RelightSetup& setup = *made;

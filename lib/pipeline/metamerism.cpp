@@ -140,7 +140,9 @@ Result<MetamerismReport> compare_metamerism(const std::string& input, const Meta
         comparison.kernels.emplace_back(options.metric, output->rgb_to_xyz(), output->rgb_to_xyz(), weights->white);
     }
 
-    auto opened = open_image_source(input, colorimetry->rgb_space(), options.job);
+    JobOptions color = options.job;
+    color.select.color_only = true;
+    auto opened = open_image_source(input, colorimetry->rgb_space(), color);
     if (!opened) return std::move(opened).error();
     auto& source = **opened;
     const auto& geometry = source.geometry();

@@ -7,6 +7,7 @@
 #include <mutex>
 #include <span>
 
+#include "pipeline/greys.h"
 #include "pipeline/source.h"
 #include "plan/bounded_store.h"
 #include "spectex/pipeline.h"
@@ -19,13 +20,15 @@ struct Scratch {
     std::array<std::vector<float>, 3> input;  ///< linearised input, as it was
     std::array<std::vector<float>, 3> rgb;    ///< the same, finite and inside the gamut
     std::array<std::vector<float>, 3> back;   ///< what a reader of the stored samples gets
+    DistinctGreys greys;                      ///< of rgb, where convert() found no colour
+    std::vector<std::byte> of_greys;
 };
 
 /// Of one group of pixels.
 struct Counts {
     std::uint64_t nonfinite = 0, out_of_gamut = 0;
     std::size_t first_nonfinite = std::numeric_limits<std::size_t>::max();  ///< index within the strip
-    std::uint64_t transparent = 0, unreached = 0;
+    std::uint64_t transparent = 0, unreached = 0, grey = 0;
     std::size_t first_unreached = std::numeric_limits<std::size_t>::max();  ///< index within the strip
     BoundedStore::Outcome bounded;
 };
@@ -49,11 +52,12 @@ public:
     void put_into(InputReport& report) const;
     const BoundedStore::Outcome& bounded() const { return bounded_; }
     std::uint64_t transparent() const { return transparent_; }
+    std::uint64_t grey() const { return grey_; }
 
 private:
     std::mutex mutex_;
     std::uint64_t nonfinite_ = 0, out_of_gamut_ = 0, first_ = std::numeric_limits<std::uint64_t>::max();
-    std::uint64_t transparent_ = 0, unreached_ = 0, first_unreached_ = std::numeric_limits<std::uint64_t>::max();
+    std::uint64_t transparent_ = 0, grey_ = 0, unreached_ = 0, first_unreached_ = std::numeric_limits<std::uint64_t>::max();
     BoundedStore::Outcome bounded_;
 };
 
@@ -76,11 +80,17 @@ struct UpliftSetup {
                    Counts& counts) const;
     /// Stored samples to scratch.back.
     void reproject(std::span<const std::byte* const> planes, std::size_t n, Scratch& scratch) const;
-    /// Colours by another plan of the same model to scratch.back, no component below 0.
+    /// The colours that convert() left in scratch by another plan of the same model to scratch.back, no component below 0.
     void preview(const RelightPlan& to_preview, std::array<const float*, 3> rgb, std::size_t n, Scratch& scratch) const;
     Explanation explanation() const;
 
 private:
+    /// Whether a stored sample costs more than to look it up: linear RGB itself is only rounded.
+    bool forms_samples() const;
+    /// To stored samples, all of one run. @param times  how many pixels each colour stands for; empty: one.
+    std::optional<BoundedStore::Failure> store(std::array<const float*, 3> rgb, std::size_t n, std::span<std::byte* const> planes,
+                                               std::span<const std::uint32_t> times, Counts& counts) const;
+
     UpliftSetup(std::unique_ptr<StripSource> s, std::shared_ptr<const Model> m, StorePlan p, GamutPolicy g)
         : source(std::move(s)), model(std::move(m)), plan(std::move(p)), gamut(g) {}
 };

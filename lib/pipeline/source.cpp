@@ -1,7 +1,9 @@
 #include "pipeline/source.h"
 
 #include <fmt/format.h>
+#include <fmt/ranges.h>
 
+#include <algorithm>
 #include <cmath>
 #include <cstring>
 
@@ -91,6 +93,13 @@ public:
             for (const auto& o : others_) names += (names.empty() ? "" : ", ") + o.name;
             explanation_.push_back({"passed on", names + ": not colour, untouched"});
         }
+        explain_channels(h);
+        if (h.mip_levels > 1) {
+            const std::int64_t pixels = std::int64_t{h.geometry.width} * h.geometry.height;
+            explanation_.push_back({"skipped", fmt::format("{} of {} mip levels, all but level {}: {} of {} pixels ({:.3g}%) are never read",
+                                                           h.mip_levels - 1, h.mip_levels, h.mip, h.mip_pixels - pixels, h.mip_pixels,
+                                                           100 * (1 - static_cast<double>(pixels) / static_cast<double>(h.mip_pixels)))});
+        }
     }
 
     const ImageHeader& header() const { return reader_->header(); }
@@ -112,6 +121,7 @@ public:
         return report;
     }
     const Explanation& explanation() const override { return explanation_; }
+    bool grey() const override { return header().is_grey(); }
 
     Status read(int y, int rows, RawStrip& raw) override {
         raw.samples.resize(raw_bytes_per_row() * static_cast<std::size_t>(rows));
@@ -135,6 +145,21 @@ public:
     }
 
 private:
+    void explain_channels(const ImageHeader& h) {
+        if (h.left_out.empty()) return;
+        constexpr std::size_t most_named = 8;
+        std::vector<std::string> names(h.left_out.begin(), h.left_out.begin() + static_cast<std::ptrdiff_t>(std::min(most_named, h.left_out.size())));
+        if (names.size() < h.left_out.size()) names.push_back("...");
+        const std::size_t wanted = others_.size() + (h.is_grey() ? 1 : 3), all = wanted + h.left_out.size();
+        // PNG rows come whole, and OpenImageIO hands over what lies between chosen channels.
+        const auto handed_over = static_cast<std::size_t>(std::count_if(h.channels.begin(), h.channels.end(), [&](const std::string& name) {
+            return std::find(h.left_out.begin(), h.left_out.end(), name) != h.left_out.end();
+        }));
+        explanation_.push_back({"skipped", fmt::format("{} of {} channels ({}): {}, {:.3g}% of the samples", h.left_out.size(), all, fmt::join(names, ", "),
+                                                       handed_over == 0 ? "not converted" : "not looked at",
+                                                       100 * static_cast<double>(h.left_out.size()) / static_cast<double>(all))});
+    }
+
     std::unique_ptr<ImageReader> reader_;
     io::FileMark mark_;
     ColorSpaceChoice choice_;
@@ -166,10 +191,10 @@ Attributes picture_attributes(const Attributes& attributes) {
 
 class SpectralStripSource final : public StripSource {
 public:
-    SpectralStripSource(std::unique_ptr<SpectralReader> reader, io::FileMark mark, std::vector<bool> needed)
+    SpectralStripSource(std::unique_ptr<SpectralReader> reader, io::FileMark mark, std::vector<bool> needed, bool color_only)
         : reader_(std::move(reader)), mark_(std::move(mark)), needed_(std::move(needed)), metadata_(picture_attributes(reader_->header().attributes)) {
         const auto& h = reader_->header();
-        for (std::size_t i = 0; i < h.others.size(); ++i) others_.push_back({h.others[i], h.other_types[i]});
+        for (std::size_t i = 0; i < h.others.size() && !color_only; ++i) others_.push_back({h.others[i], h.other_types[i]});
         for (const bool plane : needed_) planes_read_ += plane ? 1 : 0;
         explanation_.push_back(
             {"input", h.kind == FileKind::coefficients
@@ -248,7 +273,7 @@ private:
 
 Result<std::unique_ptr<StripSource>> open_image_source(const std::string& path, const RgbSpace& space, const JobOptions& job) {
     io::FileMark mark(path);
-    auto reader = ImageReader::open(path, job.threads);
+    auto reader = ImageReader::open(path, job.threads, {}, job.select);
     if (!reader) return std::move(reader).error();
     const auto& header = (*reader)->header();
     if (!header.has_color())
@@ -263,6 +288,10 @@ Result<std::unique_ptr<StripSource>> open_image_source(const std::string& path, 
 }
 
 Result<SpectralSourceInfo> spectral_source_info(const std::string& path, const JobOptions& job) {
+    if (job.select.mip > 0 || job.select.names_channels())
+        return Error{ErrorKind::input, fmt::format("{}: holds spectra or coefficients, which are read as they are: a mip level, a layer or channels are "
+                                                   "chosen of textures only",
+                                                   path)};
     auto reader = SpectralReader::open(path, job.threads);
     if (!reader) return std::move(reader).error();
     SpectralSourceInfo info;
@@ -292,13 +321,15 @@ Result<std::unique_ptr<StripSource>> open_spectral_source(const std::string& pat
     io::FileMark mark(path);
     auto reader = SpectralReader::open(path, job.threads);
     if (!reader) return std::move(reader).error();
-    return std::unique_ptr<StripSource>(std::make_unique<SpectralStripSource>(*std::move(reader), std::move(mark), needed));
+    return std::unique_ptr<StripSource>(std::make_unique<SpectralStripSource>(*std::move(reader), std::move(mark), needed, job.select.color_only));
 }
 
 Result<LinearSource> LinearSource::open(const std::string& path, const RgbSpace& space, const std::string& observer,
-                                        const JobOptions& job) {
+                                        const JobOptions& options) {
     const auto kind = probe(path);
     if (!kind) return kind.error();
+    JobOptions job = options;
+    job.select.color_only = true;
     LinearSource result;
     if (*kind == FileKind::image) {
         auto source = open_image_source(path, space, job);

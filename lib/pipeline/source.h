@@ -39,6 +39,8 @@ public:
     /// Fills in path, size and colour space.
     virtual InputReport report() const = 0;
     virtual const Explanation& explanation() const = 0;
+    /// Whether a pixel's colour is one number in the file.
+    virtual bool grey() const { return false; }
 
     virtual Status read(int y, int rows, RawStrip& raw) = 0;
     /// Number of planes that decode() gives: 3 for images and coefficients (or the model's count), bands otherwise.
@@ -65,7 +67,8 @@ Result<SpectralSourceInfo> spectral_source_info(const std::string& path, const J
 Result<std::unique_ptr<StripSource>> open_spectral_source(const std::string& path, const std::vector<bool>& needed,
                                                           const JobOptions& job);
 
-/// Three planes of linear RGB of a space from any file: images decoded, spectra and coefficients reprojected by a plan.
+/// Three planes of linear RGB of a space from any file: images decoded, spectra and coefficients reprojected by a plan. Alpha
+/// and other channels are not read.
 class LinearSource {
 public:
     /// Spectral files are lit by the illuminant of `space` (emission is reprojected).

@@ -151,6 +151,8 @@ Result<Thumbnails> thumbnails(const std::string& input, const std::string& outpu
 
     RelightOptions relight;
     relight.job = options.job;
+    relight.job.select = {};
+    relight.job.select.color_only = true;
     relight.illuminants = {options.light};
     auto relighting = RelightSetup::make(output, relight);
     if (!relighting) return std::move(relighting).error();

@@ -215,11 +215,29 @@ Status UpliftSetup::convert(const RawStrip& raw, int y, std::size_t begin, std::
         counts.unreached += unreached.size();
         if (!unreached.empty()) counts.first_unreached = std::min(counts.first_unreached, begin + unreached.front());
     }
-    if (!bounded) {
-        plan.store({rgb[0], rgb[1], rgb[2]}, n, planes);
-        return {};
+    const std::array<const float*, 3> colors{rgb[0], rgb[1], rgb[2]};
+    std::optional<BoundedStore::Failure> failure;
+    scratch.greys.clear();
+    if (forms_samples() && scratch.greys.find(colors, n)) {
+        const DistinctGreys& greys = scratch.greys;
+        const std::size_t size = pixel_bytes(plan.type());
+        scratch.of_greys.resize(std::max(scratch.of_greys.size(), planes.size() * greys.size() * size));
+        std::vector<std::byte*> distinct(planes.size());
+        for (std::size_t i = 0; i < planes.size(); ++i) distinct[i] = scratch.of_greys.data() + i * greys.size() * size;
+        failure = store(greys.rgb(), greys.size(), distinct, greys.counts(), counts);
+        if (failure)
+            failure->pixel = greys.first_of(failure->pixel);
+        else
+            for (std::size_t i = 0; i < planes.size(); ++i) {
+                if (size == sizeof(std::uint16_t))
+                    greys.spread(reinterpret_cast<const std::uint16_t*>(distinct[i]), n, reinterpret_cast<std::uint16_t*>(planes[i]));
+                else
+                    greys.spread(reinterpret_cast<const float*>(distinct[i]), n, reinterpret_cast<float*>(planes[i]));
+            }
+        counts.grey += n;
+    } else {
+        failure = store(colors, n, planes, {}, counts);
     }
-    const auto failure = bounded->store({rgb[0], rgb[1], rgb[2]}, n, planes, counts.bounded);
     if (!failure) return {};
     *over_bound = true;
     const auto width = static_cast<std::size_t>(report.width), p = begin + failure->pixel;
@@ -229,6 +247,17 @@ Status UpliftSetup::convert(const RawStrip& raw, int y, std::size_t begin, std::
                              report.path, p % width, p / width + static_cast<std::size_t>(y), pixel_type_name(plan.type()),
                              failure->error, failure->check == 0 ? std::string("round trip") : "colour under " + bounded->check_name(failure->check), bounded->bound(),
                              plan.type() == PixelType::half ? " or --float" : "")};
+}
+
+std::optional<BoundedStore::Failure> UpliftSetup::store(std::array<const float*, 3> rgb, std::size_t n, std::span<std::byte* const> planes,
+                                                        std::span<const std::uint32_t> times, Counts& counts) const {
+    if (bounded) return bounded->store(rgb, n, planes, counts.bounded, times);
+    plan.store(rgb, n, planes);
+    return std::nullopt;
+}
+
+bool UpliftSetup::forms_samples() const {
+    return bounded || plan.channels() != 3 || model->info().pieces == Pieces::nonlinear;
 }
 
 void UpliftSetup::reproject(std::span<const std::byte* const> planes, std::size_t n, Scratch& scratch) const {
@@ -253,13 +282,19 @@ void coefficient_planes(const Model& model, std::array<const float*, 3> rgb, std
 }
 
 void UpliftSetup::preview(const RelightPlan& to_preview, std::array<const float*, 3> rgb, std::size_t n, Scratch& scratch) const {
-    std::vector<std::vector<float>> coefficients;
-    coefficient_planes(*model, rgb, n, coefficients);
+    const DistinctGreys& greys = scratch.greys;
+    std::vector<std::vector<float>> coefficients, lit(greys.found() ? 3 : 0, std::vector<float>(greys.size()));
+    coefficient_planes(*model, greys.found() ? greys.rgb() : rgb, greys.found() ? greys.size() : n, coefficients);
     std::vector<const float*> in;
     for (const auto& plane : coefficients) in.push_back(plane.data());
     for (auto& plane : scratch.back) plane.resize(std::max(plane.size(), n));
     const std::array<float*, 3> out{scratch.back[0].data(), scratch.back[1].data(), scratch.back[2].data()};
-    to_preview.execute(in, n, out);
+    if (greys.found()) {
+        to_preview.execute(in, greys.size(), std::array<float*, 3>{lit[0].data(), lit[1].data(), lit[2].data()});
+        for (std::size_t c = 0; c < 3; ++c) greys.spread(lit[c].data(), n, out[c]);
+    } else {
+        to_preview.execute(in, n, out);
+    }
     for (float* plane : out)
         for (std::size_t p = 0; p < n; ++p) plane[p] = std::max(plane[p], 0.0f);
 }
@@ -286,6 +321,10 @@ Explanation UpliftSetup::explanation() const {
                                                                          : "an error"});
     lines.insert(lines.end(), chosen.begin(), chosen.end());
     lines.insert(lines.end(), plan.explanation().begin(), plan.explanation().end());
+    if (forms_samples())
+        lines.push_back(source->grey() && source->type() == PixelType::uint8
+                            ? PlanLine{"skipped", "all but 256 greys of each 8192 pixels: 97% are not uplifted but copied from those that are"}
+                            : PlanLine{"greys", "where 8192 pixels hold no colour, each distinct grey is uplifted once and copied to the others"});
     if (bounded) {
         std::erase_if(lines, [](const PlanLine& line) { return line.key == "rounding"; });
         const auto more = bounded->explanation();
@@ -307,6 +346,7 @@ void CountTotals::add(const Counts& counts, int strip_y, int width) {
     out_of_gamut_ += counts.out_of_gamut;
     bounded_.add(counts.bounded);
     transparent_ += counts.transparent;
+    grey_ += counts.grey;
     unreached_ += counts.unreached;
     if (counts.first_unreached != std::numeric_limits<std::size_t>::max())
         first_unreached_ = std::min(first_unreached_, static_cast<std::uint64_t>(strip_y) * static_cast<std::uint64_t>(width) + counts.first_unreached);
@@ -628,6 +668,7 @@ Result<UpliftReport> uplift_once(const std::string& input, const std::string& ou
     report.output = output;
     report.constant = constant;
     report.transparent = totals.transparent();
+    report.grey = totals.grey();
     if (spectral) report.bands_nm = colorimetry.bands().wavelengths_nm();
     report.model = fmt::format("{}, {}", setup->model->info().id, colorimetry.describe());
     for (const auto& part : layout.parts)

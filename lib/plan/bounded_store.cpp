@@ -92,7 +92,8 @@ struct BoundedStore::Workspace {
 };
 
 std::optional<BoundedStore::Failure> BoundedStore::store(std::array<const float*, 3> rgb, std::size_t n,
-                                                         std::span<std::byte* const> planes, Outcome& outcome) const {
+                                                         std::span<std::byte* const> planes, Outcome& outcome,
+                                                         std::span<const std::uint32_t> times) const {
     const std::size_t stored = planes.size(), checks = kernels_.size(), images = lights_.size();
     const bool half = plan_.type() == PixelType::half;
     const int most = half ? kernels::half_mantissa_bits : kernels::float_mantissa_bits;
@@ -134,8 +135,9 @@ std::optional<BoundedStore::Failure> BoundedStore::store(std::array<const float*
             if (!(w.errors[c * checked_at_once + p] <= inner_)) return false;
         return true;
     };
+    std::size_t block_begin = 0;
     const auto note = [&](std::size_t p, int bits) {
-        ++outcome.kept_bits[static_cast<std::size_t>(bits)];
+        outcome.kept_bits[static_cast<std::size_t>(bits)] += times.empty() ? 1 : times[block_begin + w.undecided[p]];
         for (std::size_t c = 0; c < checks; ++c)
             outcome.worst[c] = std::max(outcome.worst[c], static_cast<double>(w.errors[c * checked_at_once + p]));
     };
@@ -169,6 +171,7 @@ std::optional<BoundedStore::Failure> BoundedStore::store(std::array<const float*
 
     for (std::size_t begin = 0; begin < n; begin += checked_at_once) {
         const std::size_t count = std::min(checked_at_once, n - begin);
+        block_begin = begin;
         const std::array<const float*, 3> colors{rgb[0] + begin, rgb[1] + begin, rgb[2] + begin};
         exact_.store(colors, count, exact_bytes);
         if (model_->info().exact)

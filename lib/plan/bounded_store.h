@@ -45,9 +45,9 @@ public:
         std::size_t check = 0;  ///< 0 the round trip, then each light
         double error = 0;
     };
-    /// As StorePlan::store. @return the first pixel that cannot be kept, if any.
+    /// As StorePlan::store. @param times  how many pixels each colour counts for; empty: one. @return the first pixel that cannot be kept, if any.
     std::optional<Failure> store(std::array<const float*, 3> rgb, std::size_t n, std::span<std::byte* const> planes,
-                                 Outcome& outcome) const;
+                                 Outcome& outcome, std::span<const std::uint32_t> times = {}) const;
 
     double bound() const { return bound_; }
     std::string check_name(std::size_t check) const { return check == 0 ? "round trip" : lights_[check - 1].name; }

@@ -186,3 +186,201 @@ def test_transparent_texels_are_skipped_on_request(run, gradient, tmp_path):
     before, after = spectral_planes(plain)[1], spectral_planes(out)[1]
     assert np.array_equal(after[alpha != 0], before[alpha != 0])
     assert (after[alpha == 0] == 0).all() and (before[alpha == 0] != 0).any()
+
+
+def mip_mapped(path, pixels):
+    """As maketx writes it, by another library: tiles, and each level half of the one before."""
+    config = oiio.ImageSpec()
+    config.attribute("maketx:filtername", "box")
+    config.attribute("maketx:fileformatname", "openexr" if path.suffix == ".exr" else "tiff")
+    config.tile_width = config.tile_height = 32
+    config.tile_depth = 1
+    source = write_image(path.parent / "whole.tif", pixels)
+    assert oiio.ImageBufAlgo.make_texture(oiio.MakeTxTexture, oiio.ImageBuf(str(source)), str(path), config), oiio.geterror()
+    return path
+
+
+def level_of(path, level):
+    source = oiio.ImageInput.open(str(path))
+    pixels = source.read_image(0, level, 0, 3, source.spec(0, 0).format)
+    source.close()
+    return np.asarray(pixels)
+
+
+@pytest.mark.parametrize("name,kind", [("bricks.tx", np.uint8), ("bricks.exr", np.float32)])
+def test_only_the_mip_level_asked_for_is_read(name, kind, run, tmp_path):
+    codes = np.random.default_rng(8).integers(0, 256, (70, 150, 3), dtype=np.uint8)
+    texture = mip_mapped(tmp_path / name, codes if kind == np.uint8 else (codes / 255).astype(kind))
+    spectral = ["--store", "spectral", "--bands", 9, "--input-colorspace", "sRGB"]
+    outcome = run("spxuplift", texture, "-o", tmp_path / "level_{mip}.exr", "--mip", "1:3", *spectral, "--explain", "--json", "-", check=0)
+    assert [report["mip"] for report in outcome.json()] == [1, 2, 3]
+    assert "7 of 8 mip levels, all but level 1: " in outcome.stderr  # 150, 75, 37, 18, 9, 4, 2, 1
+    for level, size in ((1, (35, 75)), (2, (17, 37)), (3, (8, 18))):
+        pixels = level_of(texture, level)
+        assert pixels.shape[:2] == size and pixels.dtype == kind
+        plain = write_image(tmp_path / f"plain.{'png' if kind == np.uint8 else 'exr'}", pixels)
+        run("spxuplift", plain, "-o", tmp_path / "expected.exr", *spectral, check=0)
+        assert np.array_equal(spectral_planes(tmp_path / f"level_{level}.exr")[1], spectral_planes(tmp_path / "expected.exr")[1])
+    # What is not asked for is not read: damage in the full size is no matter to a smaller one.
+    whole = bytearray(texture.read_bytes())
+    whole[6000:9000] = b"\xff" * 3000
+    damaged = tmp_path / f"damaged{texture.suffix}"
+    damaged.write_bytes(whole)
+    run("spxuplift", damaged, "-o", tmp_path / "small.exr", "--mip", 1, *spectral, check=0)
+    assert np.array_equal(spectral_planes(tmp_path / "small.exr")[1], spectral_planes(tmp_path / "level_1.exr")[1])
+    run("spxuplift", damaged, "-o", tmp_path / "large.exr", *spectral, check=2)
+    assert not (tmp_path / "large.exr").exists()
+
+
+def test_levels_for_every_tool_that_reads_textures(run, png, tmp_path):
+    texture = mip_mapped(tmp_path / "bricks.tx", np.random.default_rng(9).integers(0, 256, (64, 96, 3), dtype=np.uint8))
+    made = tmp_path / "made"
+    made.mkdir()
+    run("spxuplift", texture, "-o", made, "--mip", "0:1", check=0)
+    assert sorted(p.name for p in made.iterdir()) == ["bricks_mip0.exr", "bricks_mip1.exr"]
+    run("spxrelight", texture, "-i", "A,FL11", "-o", tmp_path / "lit_{mip}_{illuminant}.png", "--mip", "2:3", check=0)
+    assert read_image(tmp_path / "lit_3_FL11.png")[0].shape == (8, 12, 3)
+    lit = write_image(tmp_path / "plain.png", level_of(texture, 2))
+    run("spxrelight", lit, "-i", "A", "-o", tmp_path / "expected.png", check=0)
+    assert np.array_equal(read_image(tmp_path / "lit_2_A.png", "uint8")[0], read_image(tmp_path / "expected.png", "uint8")[0])
+    assert run("spxdiff", texture, texture, "--mip", 3, "--json", "-", check=0).json()["pixels"] == 8 * 12
+    assert run("spxdiff", "--roundtrip", texture, "--mip", 2, "--json", "-", check=0).json()["pixels"] == 16 * 24
+    out = tmp_path / "out.exr"
+    for source, level, why in ((texture, 9, "has no mip level 9: expected 0 to 6"), (png, 1, "has no mip levels, so no level 1"),
+                               (made / "bricks_mip0.exr", 1, "coefficients")):
+        assert why in run("spxuplift", source, "-o", out, "--mip", level, check=2).stderr
+    assert "read as they are" in run("spxrelight", made / "bricks_mip0.exr", "-i", "A", "-o", out, "--mip", 1, check=2).stderr
+    for wrong in ("-1", "x", "2:1", "1:", "32", "1:2:3", ""):
+        assert "--mip" in run("spxuplift", texture, "-o", out, f"--mip={wrong}", check=64).stderr
+    assert "{mip}" in run("spxuplift", texture, "-o", out, "--mip", "0:1", check=64).stderr
+    run("spxdiff", texture, texture, "--mip", "0:1", check=64)
+    assert not out.exists()
+
+
+def write_parts(path, parts):
+    """Parts of (name, channel names, pixels)."""
+    specs = []
+    for name, channels, pixels in parts:
+        spec = oiio.ImageSpec(pixels.shape[1], pixels.shape[0], pixels.shape[2], "half")
+        spec.channelnames = channels
+        spec.attribute("oiio:subimagename", name)
+        specs.append(spec)
+    output = oiio.ImageOutput.create(str(path))
+    assert output.open(str(path), tuple(specs)), output.geterror()
+    for i, (_, _, pixels) in enumerate(parts):
+        assert i == 0 or output.open(str(path), specs[i], "AppendSubimage"), output.geterror()
+        assert output.write_image(np.ascontiguousarray(pixels)), output.geterror()
+    assert output.close()
+    return path
+
+
+def test_only_the_channels_asked_for_are_read(run, tmp_path):
+    """A layer, a part and channels by name, each against a file that holds nothing else."""
+    values = np.random.default_rng(4).random((24, 33, 9)).astype(np.float16)
+    names = ["A", "B", "G", "R", "albedo.B", "albedo.G", "albedo.R", "mask.Y", "zz"]
+    render = write_image(tmp_path / "render.exr", values, names)
+    parts = write_parts(tmp_path / "parts.exr", [("beauty", ["R", "G", "B", "A"], values[:, :, [3, 2, 1, 0]]),
+                                                 ("albedo", ["R", "G", "B"], values[:, :, [6, 5, 4]]), ("mask", ["Y"], values[:, :, [7]])])
+    at = {name: i for i, name in enumerate(names)}
+    cases = [(render, ["--layer", "albedo"], ["albedo.R", "albedo.G", "albedo.B"]), (render, ["--layer", "mask"], ["mask.Y"]),
+             (render, ["--channels", "albedo.G,zz,R,A"], ["albedo.G", "zz", "R", "A"]), (render, ["--channels", "zz,A"], ["zz", "A"]),
+             (render, ["--channels", "R,G,B"], ["R", "G", "B"]), (parts, ["--layer", "albedo"], ["albedo.R", "albedo.G", "albedo.B"]),
+             (parts, ["--layer", "mask"], ["mask.Y"]), (parts, ["--channels", "R,G,B"], ["R", "G", "B"])]
+    for source, chosen, expected in cases:
+        out = tmp_path / "out.exr"
+        outcome = run("spxuplift", source, "-o", out, *chosen, "--explain", "--json", "-", check=0)
+        # The coefficients of the lattice are linear RGB itself: halves stay as they are.
+        color = [expected[0]] * 3 if len(expected) < 3 else expected[:3]
+        wanted = values[:, :, [at[name] for name in color + expected[len(expected) - (len(expected) + 1) % 2:]]]
+        got, stored = read_image(out)
+        assert stored == ["R", "G", "B", "A"][:wanted.shape[2]] and np.array_equal(got, wanted.astype(np.float32))
+        total = 9 if source == render else 8
+        assert f"{total - len(expected)} of {total} channels (" in outcome.stderr and "not converted" in outcome.stderr
+    # A part that is not asked for is not read at all.
+    whole = bytearray(parts.read_bytes())
+    head = whole.index(b"beauty")
+    del head
+    broken = bytearray(whole)
+    broken[-1500:] = b"\x00" * 1500  # the mask's pixels, which come last
+    (tmp_path / "broken.exr").write_bytes(broken)
+    run("spxuplift", tmp_path / "broken.exr", "-o", tmp_path / "out.exr", "--layer", "mask", check=2)
+    run("spxuplift", tmp_path / "broken.exr", "-o", tmp_path / "out.exr", "--layer", "albedo", check=0)
+    # Other formats, by the same names.
+    codes = (values[:, :, :6].astype(np.float32) * 255).astype(np.uint8)
+    many = write_image(tmp_path / "many.tif", codes, ["R", "G", "B", "A", "four", "five"])
+    rgba = write_image(tmp_path / "rgba.png", codes[:, :, :4], ["R", "G", "B", "A"], {"oiio:UnassociatedAlpha": 1})
+    stored = oiio.ImageInput.open(str(many)).spec().channelnames
+    for source, chosen, columns in ((many, [stored[4], stored[2], stored[5]], [4, 2, 5]), (many, [stored[1]], [1]), (rgba, ["B", "A"], [2, 3])):
+        run("spxuplift", source, "-o", tmp_path / "out.exr", "--channels", ",".join(chosen), check=0)
+        color = columns if len(columns) == 3 else columns[:1] * 3
+        wanted = oracle.srgb_decode(codes[:, :, color] / 255).astype(np.float32).astype(np.float16)
+        assert np.array_equal(read_image(tmp_path / "out.exr")[0][:, :, :3], wanted.astype(np.float32))
+    # spxdiff and spxrelight choose alike.
+    assert run("spxdiff", render, parts, "--layer", "albedo", "--json", "-", check=0).json()["max"] == 0
+    run("spxrelight", render, "-i", "A", "-o", tmp_path / "lit.exr", "--layer", "albedo", check=0)
+    assert read_image(tmp_path / "lit.exr")[1] == ["R", "G", "B"]
+    for wrong, code, why in ((["--layer", "diffuse"], 2, "has no layer 'diffuse'"), (["--channels", "R,G,x"], 2, "has no channel 'x'"),
+                             (["--channels", "R", "--layer", "mask"], 64, "--layer excludes --channels"),
+                             (["--channels", "R,G,B,A,zz"], 64, "got 5"), (["--channels", "R,,B"], 64, "--channels"), (["--layer", ""], 64, "--layer")):
+        assert why in run("spxuplift", render, "-o", tmp_path / "no.exr", *wrong, check=code).stderr
+    assert "mask" in run("spxuplift", parts, "-o", tmp_path / "no.exr", "--layer", "diffuse", check=2).stderr
+
+
+def test_inputs_of_equal_bytes_are_converted_once(run, tmp_path):
+    """Of one size all: uncompressed, the last one differs in the last pixel."""
+    codes = np.random.default_rng(6).integers(0, 256, (40, 50, 3), dtype=np.uint8)
+    a = write_image(tmp_path / "a.tif", codes, compression="none")
+    b = tmp_path / "b.tif"
+    b.write_bytes(a.read_bytes())
+    changed = bytearray(a.read_bytes())
+    changed[changed.index(codes.tobytes()) + codes.size - 1] ^= 1
+    c = tmp_path / "c.tif"
+    c.write_bytes(changed)
+    out, alone = tmp_path / "out", tmp_path / "alone"
+    out.mkdir()
+    alone.mkdir()
+    outcome = run("spxuplift", a, b, c, "-o", out, "--explain", "--json", "-", check=0)
+    first, second, third = outcome.json()
+    assert second["copied_from"] == str(out / "a.exr") and "copied_from" not in first and "copied_from" not in third
+    assert (second["input"], second["output"]) == (str(b), str(out / "b.exr"))
+    assert second["roundtrip"] == first["roundtrip"] and "the bytes of " + str(a) in outcome.stderr
+    for name in "abc":
+        run("spxuplift", tmp_path / f"{name}.tif", "-o", alone, check=0)
+        assert digest(out / f"{name}.exr") == digest(alone / f"{name}.exr")
+    assert digest(out / "a.exr") != digest(out / "c.exr")
+    lit = run("spxrelight", a, b, "-i", "A,FL11", "-o", out, "--json", "-", check=0).json()
+    assert [o["output"] for o in lit[1]["outputs"]] == [str(out / "b_A.exr"), str(out / "b_FL11.exr")]
+    assert digest(out / "b_FL11.exr") == digest(out / "a_FL11.exr") != digest(out / "b_A.exr")
+    # What failed is nobody's source.
+    for name in "ab":
+        (tmp_path / f"{name}.tif").write_bytes(a.read_bytes()[:1000])
+    broken = run("spxuplift", a, b, c, "-o", out, "--json", "-", check=2).json()
+    assert "error" in broken[0] and "error" in broken[1] and "error" not in broken[2]
+
+
+@pytest.mark.parametrize("options", [["--store", "spectral", "--bands", 9], ["--store", "spectral", "--bands", 9, "--method", "mallett2019"],
+                                     ["--method", "jakob2019"], ["--store", "spectral", "--bands", 12, "--max-error", 0.5, "--for", "A"],
+                                     ["--store", "spectral", "--bands", 9, "--float", "--method", "jakob2019"]])
+def test_greys_are_stored_once_and_copied(options, run, tmp_path):
+    """A pixel in colour at the right edge of every row keeps its run from the short way; the greys beside it must not show it."""
+    greys = np.random.default_rng(7).integers(0, 256, (48, 256), dtype=np.uint8)
+    grey = write_image(tmp_path / "grey.png", greys)
+    rgb = write_image(tmp_path / "rgb.png", np.repeat(greys[:, :, None], 3, axis=2))
+    mixed_pixels = np.repeat(np.pad(greys, ((0, 0), (0, 1)))[:, :, None], 3, axis=2)
+    mixed_pixels[:, -1] = [200, 30, 90]
+    mixed = write_image(tmp_path / "mixed.png", mixed_pixels)
+    reports = {}
+    for source in (grey, rgb, mixed):
+        out = source.with_suffix(".exr")
+        outcome = run("spxuplift", source, "-o", out, *options, "--check", "--explain", "--json", "-", check=0)
+        reports[source.stem] = outcome.json()
+        assert ("97% are not uplifted" if source == grey else "each distinct grey is uplifted once") in outcome.stderr
+        assert ("pixels without colour" in outcome.stderr) == (source != mixed)
+    assert [reports[name]["grey"] for name in ("grey", "rgb", "mixed")] == [greys.size, greys.size, 0]
+    short, by_rgb, plain = (read_image(tmp_path / f"{name}.exr") for name in ("grey", "rgb", "mixed"))
+    assert short[1] == by_rgb[1] == plain[1]
+    assert np.array_equal(short[0], by_rgb[0]) and np.array_equal(short[0], plain[0][:, :-1])
+    if "--max-error" in options:
+        kept = np.array(reports["grey"]["max_error"]["kept_bits"])
+        assert kept.sum() == greys.size
+        assert (np.array(reports["mixed"]["max_error"]["kept_bits"]) >= kept).all()

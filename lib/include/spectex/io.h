@@ -55,6 +55,19 @@ struct ColorHints {
     std::optional<double> gamma;
 };
 
+/// What of an image file is wanted; by default all channels at full size.
+struct ImageSelection {
+    int mip = 0;                        ///< level of the pyramid: 0 full size, each next one half as wide and as high
+    /// Colour is this layer's R, G, B (or Y) and alpha its A; in OpenEXR also those of a part of this name.
+    std::string layer;
+    /// Colour by the names of its channels: R, G, B and perhaps alpha; or grey and perhaps alpha. In place of `layer`.
+    std::vector<std::string> channels;
+    bool color_only = false;            ///< neither alpha nor any other channel is read
+
+    /// Channels beside the chosen ones are left out rather than passed on.
+    bool names_channels() const { return !layer.empty() || !channels.empty(); }
+};
+
 /// Header of an ordinary image.
 struct ImageHeader {
     std::string path, format;             ///< format as OIIO names it: png, jpeg, openexr, ...
@@ -65,7 +78,10 @@ struct ImageHeader {
     int alpha = -1;
     bool alpha_associated = false;        ///< colour is premultiplied in the file (EXR); straight in PNG, TGA
     std::vector<int> others;              ///< every channel that is not colour, alpha included, in file order
+    std::vector<std::string> left_out;    ///< channels of the file that the selection does not want; not in `channels`, or not in `others`
     int subimages = 1;
+    int mip = 0, mip_levels = 1;          ///< the level that is read, of so many
+    std::int64_t mip_pixels = 0;          ///< over all levels
     ColorHints color_hints;
     Attributes metadata;                  ///< what is worth passing on (no time of day, no library's own marks)
 
@@ -78,8 +94,10 @@ struct ImageHeader {
 class SPECTEX_API ImageReader {
 public:
     virtual ~ImageReader();
-    /// @error input: missing, unreadable, truncated header, deep or volume image, over Limits; the message names the file.
-    static Result<std::unique_ptr<ImageReader>> open(const std::string& path, int threads = 0, const Limits& limits = {});
+    /// @error input: missing, unreadable, truncated header, deep or volume image, over Limits, or without the level, layer or
+    /// channels that are selected; the message names the file.
+    static Result<std::unique_ptr<ImageReader>> open(const std::string& path, int threads = 0, const Limits& limits = {},
+                                                     const ImageSelection& selection = {});
     virtual const ImageHeader& header() const = 0;
     /// Rows that suit the file: a multiple of its tile height or compression block, at least 64 where height allows.
     virtual int preferred_rows() const = 0;
@@ -213,6 +231,9 @@ private:
     std::string temporary_, destination_, target_;
     int slot_ = -1;  ///< in the registry of temporary files
 };
+/// The bytes of a file under another name, complete or not at all; where the file system can, both share their blocks until
+/// one is changed.
+SPECTEX_API Status copy_output(const std::string& from, const std::string& to);
 SPECTEX_API Status write_text_file(const std::string& destination, std::string_view text);
 /// Removes every uncommitted temporary file of this process; async-signal-safe, for a handler of SIGINT and SIGTERM.
 SPECTEX_API void remove_temporary_files_from_signal() noexcept;

@@ -37,6 +37,7 @@ struct JobOptions {
     bool strict = false;  ///< a non-finite sample is an error instead of a replacement
     ProgressFunction progress;
     std::string input_colorspace;  ///< empty: as the file says (choose_input_space)
+    ImageSelection select;         ///< of an ordinary image; spectral and coefficient files are read as they are
 };
 
 /// Size and colour space of an input, and what was met in its pixels.
@@ -136,6 +137,7 @@ struct UpliftReport {
     std::vector<double> bands_nm;                 ///< of stored spectra
     std::uint64_t transparent = 0;                ///< pixels under skip_transparent
     bool constant = false;                        ///< written as 1 x 1
+    std::uint64_t grey = 0;                       ///< pixels whose stored samples were looked up as those of a grey
 };
 
 /// A plan made and not run: what `--explain` prints.
