@@ -1,5 +1,6 @@
 #include <algorithm>
 #include <cmath>
+#include <numbers>
 
 #include "compare/spaces.h"
 
@@ -14,7 +15,7 @@ HWY_BEFORE_NAMESPACE();
 namespace spectex::HWY_NAMESPACE {
 namespace hn = hwy::HWY_NAMESPACE;
 
-/// Runs body(a, b, out) over vectors of whole lanes of Lab; the rest goes through buffers.
+/// Runs body(a, b, out) over vectors of whole lanes of coordinates; the rest goes through buffers.
 template <class Body>
 HWY_INLINE void over_lanes(std::size_t lanes, const double* const* la, const double* const* lb, std::size_t n, float* out,
                            const Body& body) {
@@ -37,6 +38,93 @@ HWY_INLINE void over_lanes(std::size_t lanes, const double* const* la, const dou
         body(a, b, rest);
         std::copy_n(rest, n - i, out + i);
     }
+}
+
+/// Runs body(dd, a, b), of three vectors of doubles each, and rounds what it gives to floats. In double and in the order of
+/// the formulas for one pair, whose very numbers come out.
+template <class Body>
+HWY_INLINE void over_doubles(const double* const* la, const double* const* lb, std::size_t n, float* out, const Body& body) {
+    const hn::ScalableTag<double> dd;
+    const hn::Rebind<float, decltype(dd)> df;
+    using V = hn::Vec<decltype(dd)>;
+    over_lanes(hn::Lanes(dd), la, lb, n, out, [&](const double* const* a, const double* const* b, float* to) HWY_ATTR {
+        const V p[3] = {hn::LoadU(dd, a[0]), hn::LoadU(dd, a[1]), hn::LoadU(dd, a[2])};
+        const V q[3] = {hn::LoadU(dd, b[0]), hn::LoadU(dd, b[1]), hn::LoadU(dd, b[2])};
+        hn::StoreU(kernels::HWY_NAMESPACE::round_to_float(df, body(dd, p, q)), df, to);
+    });
+}
+
+void DistancePlanes(double unit, const double* const* la, const double* const* lb, std::size_t n, float* out) {
+    over_doubles(la, lb, n, out, [unit](auto dd, const auto* p, const auto* q) HWY_ATTR {
+        const auto d0 = hn::Sub(p[0], q[0]), d1 = hn::Sub(p[1], q[1]), d2 = hn::Sub(p[2], q[2]);
+        return hn::Mul(hn::Set(dd, unit), hn::Sqrt(hn::Add(hn::Add(hn::Mul(d0, d0), hn::Mul(d1, d1)), hn::Mul(d2, d2))));
+    });
+}
+
+/// What CIE94 and CMC share: differences of lightness, chroma and hue, and the chroma of the first colour.
+template <class V>
+struct Differences {
+    V lightness, chroma, hue, c1;
+};
+template <class D, class V>
+HWY_INLINE Differences<V> DifferencesOf(D dd, const V* p, const V* q) {
+    const V a1 = p[1], b1 = p[2], a2 = q[1], b2 = q[2], zero = hn::Zero(dd);
+    const V c1 = hn::Sqrt(hn::Add(hn::Mul(a1, a1), hn::Mul(b1, b1))), c2 = hn::Sqrt(hn::Add(hn::Mul(a2, a2), hn::Mul(b2, b2)));
+    const V da = hn::Sub(a2, a1), db = hn::Sub(b2, b1), sum = hn::Add(c1, c2);
+    const V chroma = hn::Add(hn::Mul(da, hn::Div(hn::Add(a1, a2), sum)), hn::Mul(db, hn::Div(hn::Add(b1, b2), sum)));
+    const V dot = hn::Add(hn::Mul(a1, a2), hn::Mul(b1, b2)), product = hn::Mul(c1, c2);
+    const auto near = hn::Gt(dot, zero);
+    const V root = hn::Sqrt(hn::IfThenElse(near, hn::Add(product, dot), hn::Mul(hn::Set(dd, 2), hn::Sub(product, dot))));
+    const V cross = hn::Mul(hn::Set(dd, std::numbers::sqrt2), hn::Sub(hn::Mul(a1, db), hn::Mul(b1, da)));
+    return {hn::Sub(q[0], p[0]), hn::IfThenElse(hn::Eq(sum, zero), zero, chroma), hn::IfThenElse(near, hn::Div(cross, root), root), c1};
+}
+template <class V>
+HWY_INLINE V Length(V x, V y, V z) {
+    return hn::Sqrt(hn::Add(hn::Add(hn::Mul(x, x), hn::Mul(y, y)), hn::Mul(z, z)));
+}
+
+void Delta94Planes(const double* const* la, const double* const* lb, std::size_t n, float* out) {
+    over_doubles(la, lb, n, out, [](auto dd, const auto* p, const auto* q) HWY_ATTR {
+        const auto d = DifferencesOf(dd, p, q);
+        const auto one = hn::Set(dd, 1);
+        return Length(d.lightness, hn::Div(d.chroma, hn::Add(one, hn::Mul(hn::Set(dd, 0.045), d.c1))),
+                      hn::Div(d.hue, hn::Add(one, hn::Mul(hn::Set(dd, 0.015), d.c1))));
+    });
+}
+
+// As delta_cmc, but for its angle: cosines of the hue and another angle come from the hue's own cosine and sine, and on which
+// side of an angle it lies from the sign of a cross product.
+void CmcPlanes(const double* const* la, const double* const* lb, std::size_t n, float* out) {
+    constexpr double degree = std::numbers::pi / 180;
+    const double cos35 = std::cos(35 * degree), sin35 = std::sin(35 * degree), cos168 = std::cos(168 * degree),
+                 sin168 = std::sin(168 * degree), cos164 = std::cos(164 * degree), sin164 = std::sin(164 * degree),
+                 cos345 = std::cos(345 * degree), sin345 = std::sin(345 * degree);
+    over_doubles(la, lb, n, out, [=](auto dd, const auto* p, const auto* q) HWY_ATTR {
+        const auto d = DifferencesOf(dd, p, q);
+        const auto set = [&](double v) HWY_ATTR { return hn::Set(dd, v); };
+        const auto zero = hn::Zero(dd), one = set(1), l1 = p[0], a1 = p[1], b1 = p[2], c1 = d.c1;
+        const auto rotated = [&](double cosine, double sine) HWY_ATTR {
+            return hn::Abs(hn::Sub(hn::Mul(a1, set(cosine)), hn::Mul(b1, set(sine))));
+        };
+        const auto left_of = [&](double cosine, double sine) HWY_ATTR {
+            return hn::Gt(hn::Sub(hn::Mul(set(cosine), b1), hn::Mul(set(sine), a1)), zero);
+        };
+        const auto right_of = [&](double cosine, double sine) HWY_ATTR {
+            return hn::Lt(hn::Sub(hn::Mul(set(cosine), b1), hn::Mul(set(sine), a1)), zero);
+        };
+        const auto warm = hn::And(left_of(cos345, sin345), right_of(cos164, sin164));
+        // A neutral has no hue, and f = 0 takes no heed of t.
+        const auto inverse = hn::Div(one, hn::IfThenElse(hn::Gt(c1, zero), c1, one));
+        const auto t = hn::IfThenElse(warm, hn::Add(set(0.36), hn::Mul(hn::Mul(set(0.4), rotated(cos35, sin35)), inverse)),
+                                      hn::Add(set(0.56), hn::Mul(hn::Mul(set(0.2), rotated(cos168, sin168)), inverse)));
+        const auto sl = hn::IfThenElse(hn::Lt(l1, set(16)), set(0.511),
+                                       hn::Div(hn::Mul(set(0.040975), l1), hn::Add(one, hn::Mul(set(0.01765), l1))));
+        const auto sc = hn::Add(hn::Div(hn::Mul(set(0.0638), c1), hn::Add(one, hn::Mul(set(0.0131), c1))), set(0.638));
+        const auto squared = hn::Mul(c1, c1);
+        const auto f = hn::Sqrt(hn::Div(one, hn::Add(one, hn::Div(set(1900), hn::Mul(squared, squared)))));
+        const auto sh = hn::Mul(sc, hn::Sub(hn::Add(hn::Mul(f, t), one), f));
+        return Length(hn::Div(d.lightness, hn::Mul(set(2), sl)), hn::Div(d.chroma, sc), hn::Div(d.hue, sh));
+    });
 }
 
 // Names and equation numbers as in delta_e2000. The differences of the coordinates are taken in double; what weighs them
@@ -174,7 +262,20 @@ HWY_AFTER_NAMESPACE();
 #if HWY_ONCE
 namespace spectex {
 
+HWY_EXPORT(DistancePlanes);
+HWY_EXPORT(Delta94Planes);
+HWY_EXPORT(CmcPlanes);
 HWY_EXPORT(Delta2000Planes);
+
+void distance_planes(double unit, std::array<const double*, 3> a, std::array<const double*, 3> b, std::size_t n, float* out) {
+    HWY_DYNAMIC_DISPATCH(DistancePlanes)(unit, a.data(), b.data(), n, out);
+}
+void delta_e94_planes(std::array<const double*, 3> a, std::array<const double*, 3> b, std::size_t n, float* out) {
+    HWY_DYNAMIC_DISPATCH(Delta94Planes)(a.data(), b.data(), n, out);
+}
+void delta_cmc_planes(std::array<const double*, 3> a, std::array<const double*, 3> b, std::size_t n, float* out) {
+    HWY_DYNAMIC_DISPATCH(CmcPlanes)(a.data(), b.data(), n, out);
+}
 
 void delta_e2000_planes(std::array<const double*, 3> a, std::array<const double*, 3> b, std::size_t n, float* out) {
     HWY_DYNAMIC_DISPATCH(Delta2000Planes)(a.data(), b.data(), n, out);

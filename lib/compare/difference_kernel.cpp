@@ -79,10 +79,8 @@ OklabSpace::OklabSpace(const Vector3& white) {
 }
 
 Vector3 OklabSpace::operator()(const Vector3& xyz) const {
-    constexpr Matrix3 to_lab{{0.2104542553, 0.7936177850, -0.0040720468, 1.9779984951, -2.4285922050, 0.4505937099,
-                              0.0259040371, 0.7827717662, -0.8086757660}};
     const Vector3 lms = xyz_to_lms * xyz;
-    return to_lab * Vector3{std::cbrt(lms[0]), std::cbrt(lms[1]), std::cbrt(lms[2])};
+    return lms_to_lab * Vector3{std::cbrt(lms[0]), std::cbrt(lms[1]), std::cbrt(lms[2])};
 }
 
 DifferenceKernel::DifferenceKernel(Metric metric, const Matrix3& a_to_xyz, const Matrix3& b_to_xyz, const Vector3& white)
@@ -98,9 +96,9 @@ Matrix3 relative_to(const Vector3& white, Matrix3 m) {
     return m;
 }
 
-using LabPlanes = std::array<const double*, 3>;
+using Planes = std::array<double*, 3>;
 
-/// @param delta  of two colours, or of planes of them.
+/// @param delta  of two colours, or for floats of planes of them, which it may change.
 template <class T, class F>
 void over_lab(const Matrix3& a_to_relative, const Matrix3& b_to_relative, std::array<const T*, 3> a,
               std::array<const T*, 3> b, std::size_t n, T* out, F delta) {
@@ -109,8 +107,8 @@ void over_lab(const Matrix3& a_to_relative, const Matrix3& b_to_relative, std::a
         const std::size_t count = std::min(block_size, n - begin);
         lab_planes(a_to_relative, {a[0] + begin, a[1] + begin, a[2] + begin}, count, {la[0], la[1], la[2]});
         lab_planes(b_to_relative, {b[0] + begin, b[1] + begin, b[2] + begin}, count, {lb[0], lb[1], lb[2]});
-        if constexpr (std::is_invocable_v<F, const LabPlanes&, const LabPlanes&, std::size_t, T*>)
-            delta({la[0], la[1], la[2]}, {lb[0], lb[1], lb[2]}, count, out + begin);
+        if constexpr (std::is_same_v<T, float>)
+            delta(Planes{la[0], la[1], la[2]}, Planes{lb[0], lb[1], lb[2]}, count, out + begin);
         else
             for (std::size_t i = 0; i < count; ++i)
                 out[begin + i] = static_cast<T>(
@@ -121,18 +119,53 @@ void over_lab(const Matrix3& a_to_relative, const Matrix3& b_to_relative, std::a
 template <class T, class Space>
 void over_space(const Space& space, double unit, const Matrix3& a_to_xyz, const Matrix3& b_to_xyz,
                 std::array<const T*, 3> a, std::array<const T*, 3> b, std::size_t n, T* out) {
-    for (std::size_t i = 0; i < n; ++i) {
-        const Vector3 p = space(a_to_xyz * Vector3{a[0][i], a[1][i], a[2][i]});
-        const Vector3 q = space(b_to_xyz * Vector3{b[0][i], b[1][i], b[2][i]});
-        out[i] = static_cast<T>(unit * delta_e76(p, q));
+    if constexpr (std::is_same_v<T, float>) {
+        double p[3][block_size], q[3][block_size];
+        for (std::size_t begin = 0; begin < n; begin += block_size) {
+            const std::size_t count = std::min(block_size, n - begin);
+            space_planes(space, a_to_xyz, {a[0] + begin, a[1] + begin, a[2] + begin}, count, {p[0], p[1], p[2]});
+            space_planes(space, b_to_xyz, {b[0] + begin, b[1] + begin, b[2] + begin}, count, {q[0], q[1], q[2]});
+            distance_planes(unit, {p[0], p[1], p[2]}, {q[0], q[1], q[2]}, count, out + begin);
+        }
+    } else {
+        for (std::size_t i = 0; i < n; ++i) {
+            const Vector3 p = space(a_to_xyz * Vector3{a[0][i], a[1][i], a[2][i]});
+            const Vector3 q = space(b_to_xyz * Vector3{b[0][i], b[1][i], b[2][i]});
+            out[i] = unit * delta_e76(p, q);
+        }
     }
 }
 
-template <class T>
-void run(Metric metric, const Matrix3& a_to_xyz, const Matrix3& b_to_xyz, const Vector3& white, std::array<const T*, 3> a,
-         std::array<const T*, 3> b, std::size_t n, T* out) {
-    if (metric == Metric::itp) return over_space(ItpSpace(white), 720, a_to_xyz, b_to_xyz, a, b, n, out);
-    if (metric == Metric::oklab) return over_space(OklabSpace(white), 1, a_to_xyz, b_to_xyz, a, b, n, out);
+/// Floats by vectors.
+void run(Metric metric, const Matrix3& a_to_xyz, const Matrix3& b_to_xyz, const Vector3& white, std::array<const float*, 3> a,
+         std::array<const float*, 3> b, std::size_t n, float* out) {
+    const Matrix3 ma = relative_to(white, a_to_xyz), mb = relative_to(white, b_to_xyz);
+    const auto with = [&](auto delta) { over_lab(ma, mb, a, b, n, out, delta); };
+    using Read = std::array<const double*, 3>;
+    const auto with_formula = [&](void (*formula)(Read, Read, std::size_t, float*)) {
+        with([formula](const Planes& p, const Planes& q, std::size_t count, float* to) {
+            formula({p[0], p[1], p[2]}, {q[0], q[1], q[2]}, count, to);
+        });
+    };
+    switch (metric) {
+        case Metric::cie76: return with_formula([](Read p, Read q, std::size_t count, float* to) { distance_planes(1, p, q, count, to); });
+        case Metric::cie94: return with_formula(delta_e94_planes);
+        case Metric::ciede2000: return with_formula(delta_e2000_planes);
+        case Metric::cmc: return with_formula(delta_cmc_planes);
+        case Metric::din99:
+            return with([](const Planes& p, const Planes& q, std::size_t count, float* to) {
+                din99_planes(p, count);
+                din99_planes(q, count);
+                distance_planes(1, {p[0], p[1], p[2]}, {q[0], q[1], q[2]}, count, to);
+            });
+        case Metric::itp: return over_space(ItpSpace(white), 720, a_to_xyz, b_to_xyz, a, b, n, out);
+        case Metric::oklab: return over_space(OklabSpace(white), 1, a_to_xyz, b_to_xyz, a, b, n, out);
+    }
+}
+
+/// Doubles one by one: the reference of the others.
+void run(Metric metric, const Matrix3& a_to_xyz, const Matrix3& b_to_xyz, const Vector3& white, std::array<const double*, 3> a,
+         std::array<const double*, 3> b, std::size_t n, double* out) {
     const Matrix3 ma = relative_to(white, a_to_xyz), mb = relative_to(white, b_to_xyz);
     // A template argument rather than a pointer, so that each formula is inlined into its own loop.
     const auto with = [&](auto delta) { over_lab(ma, mb, a, b, n, out, delta); };
@@ -140,13 +173,11 @@ void run(Metric metric, const Matrix3& a_to_xyz, const Matrix3& b_to_xyz, const 
     switch (metric) {
         case Metric::cie76: return with([](V p, V q) { return delta_e76(p, q); });
         case Metric::cie94: return with([](V p, V q) { return delta_e94(p, q); });
-        case Metric::ciede2000:
-            if constexpr (std::is_same_v<T, float>) return with(delta_e2000_planes);
-            else return with([](V p, V q) { return delta_e2000(p, q); });
+        case Metric::ciede2000: return with([](V p, V q) { return delta_e2000(p, q); });
         case Metric::cmc: return with([](V p, V q) { return delta_cmc(p, q); });
         case Metric::din99: return with([](V p, V q) { return delta_e_din99(p, q); });
-        case Metric::itp:
-        case Metric::oklab: return;
+        case Metric::itp: return over_space(ItpSpace(white), 720, a_to_xyz, b_to_xyz, a, b, n, out);
+        case Metric::oklab: return over_space(OklabSpace(white), 1, a_to_xyz, b_to_xyz, a, b, n, out);
     }
 }
 

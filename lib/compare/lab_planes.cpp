@@ -1,6 +1,5 @@
 #include <algorithm>
 #include <cmath>
-#include <cstdint>
 
 #include "compare/spaces.h"
 
@@ -9,39 +8,18 @@
 #include "hwy/foreach_target.h"
 #include "hwy/highway.h"
 
-#include "kernels/simd-inl.h"
+#include "compare/cube_root-inl.h"
 
 HWY_BEFORE_NAMESPACE();
 namespace spectex::HWY_NAMESPACE {
 namespace hn = hwy::HWY_NAMESPACE;
 
-// The estimate of the root passes through float, whose range this leaves with room.
-constexpr double largest = 1e30;
-
-// lab_f for t in [-largest, largest].
+// lab_f for t in [-largest_rooted, largest_rooted].
 template <class D, class V>
 HWY_INLINE V LabF(D dd, V t) {
-    const hn::Rebind<float, D> df;
-    const hn::Rebind<std::int32_t, D> di;
     const auto border = hn::Set(dd, (24.0 / 116) * (24.0 / 116) * (24.0 / 116));
     const auto above = hn::Gt(t, border);
-    const auto x = hn::IfThenElse(above, t, hn::Set(dd, 1));
-    // The inverse cube root needs no division. A third of the exponent, with the constant that halves the worst error, 3.5%;
-    // the series of (1 - e)^(-1/3) to e^4, in float, leaves 1.5e-6 of it.
-    const auto xf = kernels::HWY_NAMESPACE::round_to_float(df, x);
-    const auto third = hn::ConvertTo(di, hn::Mul(hn::ConvertTo(df, hn::BitCast(di, xf)), hn::Set(df, 1.0f / 3)));
-    const auto guess = hn::BitCast(df, hn::Sub(hn::Set(di, 0x54a20000), third));
-    const auto e = hn::Sub(hn::Set(df, 1), hn::Mul(hn::Mul(xf, guess), hn::Mul(guess, guess)));
-    auto series = hn::Add(hn::Set(df, 14.0f / 81), hn::Mul(hn::Set(df, 35.0f / 243), e));
-    series = hn::Add(hn::Set(df, 2.0f / 9), hn::Mul(series, e));
-    series = hn::Add(hn::Set(df, 1.0f / 3), hn::Mul(series, e));
-    const auto estimate = hn::Add(guess, hn::Mul(hn::Mul(guess, e), series));
-    // The root itself is x r^2, and (1 - w)^(-2/3) with w = 1 - x r^3, below 6e-6, corrects it: w^3 / 2 is below rounding.
-    const auto r = hn::PromoteTo(dd, estimate);
-    const auto r2 = hn::Mul(r, r);
-    const auto w = hn::Sub(hn::Set(dd, 1), hn::Mul(x, hn::Mul(r2, r)));
-    const auto root = hn::Mul(x, r2);
-    const auto y = hn::Add(root, hn::Mul(root, hn::Mul(w, hn::Add(hn::Set(dd, 2.0 / 3), hn::Mul(hn::Set(dd, 5.0 / 9), w)))));
+    const auto y = CubeRoot(dd, hn::IfThenElse(above, t, hn::Set(dd, 1)));
     const auto line = hn::Add(hn::Mul(hn::Set(dd, 841.0 / 108), t), hn::Set(dd, 16.0 / 116));
     return hn::IfThenElse(above, y, line);
 }
@@ -80,7 +58,7 @@ void LabPlanes(const GreyRow* rows, const In* const* rgb, std::size_t n, double*
                           dd, t[k] + i);
             }
         }
-        const auto bound = hn::Set(dd, largest);
+        const auto bound = hn::Set(dd, largest_rooted);
         for (int k = 0; k < 3; ++k)
             for (std::size_t i = 0; i < padded; i += lanes) {
                 const auto v = hn::Load(dd, t[k] + i);
@@ -92,7 +70,7 @@ void LabPlanes(const GreyRow* rows, const In* const* rgb, std::size_t n, double*
                 // NaN, infinities and the beyond of the estimate's range; ordinary neighbours keep their ordinary way.
                 double f[HWY_MAX_BYTES / sizeof(double)];
                 hn::StoreU(LabF(dd, hn::IfThenElseZero(usual, v)), dd, f);
-                for (std::size_t j = 0; j < lanes; ++j) t[k][i + j] = std::fabs(t[k][i + j]) <= largest ? f[j] : lab_f(t[k][i + j]);
+                for (std::size_t j = 0; j < lanes; ++j) t[k][i + j] = std::fabs(t[k][i + j]) <= largest_rooted ? f[j] : lab_f(t[k][i + j]);
             }
         for (std::size_t i = 0; i < count; i += lanes) {
             const auto fx = hn::Load(dd, t[0] + i), fy = hn::Load(dd, t[1] + i), fz = hn::Load(dd, t[2] + i);

@@ -32,6 +32,9 @@ struct OklabSpace {
     explicit OklabSpace(const Vector3& white);
     Vector3 operator()(const Vector3& xyz) const;
     Matrix3 xyz_to_lms;
+    /// From cube roots.
+    static constexpr Matrix3 lms_to_lab{{0.2104542553, 0.7936177850, -0.0040720468, 1.9779984951, -2.4285922050, 0.4505937099,
+                                         0.0259040371, 0.7827717662, -0.8086757660}};
 };
 
 /// A row of a matrix as sum * v[base] + first * (v[the next one] - v[base]) + second * (v[the last one] - v[base]): where the
@@ -48,6 +51,18 @@ struct GreyRow {
 /// Cube roots within 2^-50 of lab_f, relative.
 void lab_planes(const Matrix3& to_relative, std::array<const float*, 3> rgb, std::size_t n, std::array<double*, 3> lab);
 void lab_planes(const Matrix3& to_relative, std::array<const double*, 3> rgb, std::size_t n, std::array<double*, 3> lab);
+
+/// The coordinates of n colours: as din99_from_lab of `lab`, in place, and as ItpSpace and OklabSpace of to_xyz rgb, all to
+/// some units in the last place; every instruction set gives the same bytes.
+void din99_planes(std::array<double*, 3> lab, std::size_t n);
+void space_planes(const ItpSpace& space, const Matrix3& to_xyz, std::array<const float*, 3> rgb, std::size_t n, std::array<double*, 3> out);
+void space_planes(const OklabSpace& space, const Matrix3& to_xyz, std::array<const float*, 3> rgb, std::size_t n, std::array<double*, 3> out);
+
+/// `unit` times the distance of n pairs, delta_e94 and delta_cmc of n pairs of Lab: in double, rounded once; the very numbers
+/// of the formulas for one pair, and of CMC those to some units in the last place before that rounding.
+void distance_planes(double unit, std::array<const double*, 3> a, std::array<const double*, 3> b, std::size_t n, float* out);
+void delta_e94_planes(std::array<const double*, 3> a, std::array<const double*, 3> b, std::size_t n, float* out);
+void delta_cmc_planes(std::array<const double*, 3> a, std::array<const double*, 3> b, std::size_t n, float* out);
 
 /// delta_e2000 of n pairs of Lab in float: within 5e-6 of it, relative, plus 1e-11 (1e-7 but for blues, whose rotation
 /// term cancels), save where the formula itself jumps: opposite hues. Exactly 0 for equal colours, symmetric; every instruction set gives the same bytes.

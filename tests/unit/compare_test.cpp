@@ -347,6 +347,81 @@ TEST(DeltaE, ciede2000_in_planes_keeps_to_its_reference_on_every_target) {
     });
 }
 
+TEST(DeltaE, planes_keep_to_the_formulas_for_one_pair_on_every_target) {
+    std::vector<Pair> pairs = random_pairs(40000, 41);
+    std::mt19937 engine(42);
+    std::uniform_real_distribution<double> exponent(-14, 0), angle(0, 2 * std::numbers::pi), chroma(0, 150), lightness(-5, 110);
+    for (int i = 0; i < 40000; ++i) {
+        const double h = angle(engine), c = chroma(engine), d = std::pow(10, exponent(engine)), e = angle(engine);
+        Pair p{{lightness(engine), c * std::cos(h), c * std::sin(h)}, {}, 0};
+        p.lab2 = {p.lab1[0] + d * std::cos(3 * e), p.lab1[1] + d * std::cos(e), p.lab1[2] + d * std::sin(e)};
+        if (i % 3 == 0) p.lab2 = {lightness(engine), -p.lab1[1] * d, -p.lab1[2] * d};  // opposite hues
+        if (i % 11 == 0) p.lab1[1] = p.lab1[2] = 0;
+        if (i % 13 == 0) p.lab2[1] = p.lab2[2] = 0;
+        if (i % 17 == 0) p.lab2 = p.lab1;
+        pairs.push_back(p);
+    }
+    const double infinity = std::numeric_limits<double>::infinity();
+    for (const double v : {1e30, -1e60, infinity, -infinity, std::nan("")})
+        for (const std::size_t k : {0u, 1u, 2u}) {
+            Pair p{{50, v == 1e30 ? 0.0 : 10, 20}, {40, 30, 5}, 0};
+            p.lab2[k] = v;
+            pairs.push_back(p);
+            std::swap(p.lab1, p.lab2);
+            pairs.push_back(p);
+        }
+    std::array<std::vector<double>, 6> planes;
+    for (const Pair& p : pairs)
+        for (std::size_t k = 0; k < 3; ++k) planes[k].push_back(p.lab1[k]), planes[3 + k].push_back(p.lab2[k]);
+    using Read = std::array<const double*, 3>;
+    struct Formula {
+        const char* name;
+        void (*of_planes)(Read, Read, std::size_t, float*);
+        double (*of_pair)(const Vector3&, const Vector3&);
+        double relative, absolute;
+    };
+    const Formula formulas[] = {
+        {"cie76", [](Read a, Read b, std::size_t n, float* out) { distance_planes(1, a, b, n, out); }, delta_e76, 0, 0},
+        {"cie94", delta_e94_planes, delta_e94, 0, 0},
+        // The rounding to float, and before it the hue's weight from a cross product instead of an angle, some units of 2^-53.
+        {"cmc", delta_cmc_planes, delta_cmc, 0x1p-24 + 1e-14, 0},
+        // The rounding, and of coordinates up to 60 some units in the last place.
+        {"din99",
+         [](Read a, Read b, std::size_t n, float* out) {
+             std::array<std::vector<double>, 6> own;
+             for (std::size_t k = 0; k < 3; ++k) own[k].assign(a[k], a[k] + n), own[3 + k].assign(b[k], b[k] + n);
+             din99_planes({own[0].data(), own[1].data(), own[2].data()}, n);
+             din99_planes({own[3].data(), own[4].data(), own[5].data()}, n);
+             distance_planes(1, {own[0].data(), own[1].data(), own[2].data()}, {own[3].data(), own[4].data(), own[5].data()}, n, out);
+         },
+         delta_e_din99, 0x1p-24 + 1e-14, 1e-13},
+    };
+    for (const Formula& f : formulas) {
+        SCOPED_TRACE(f.name);
+        std::vector<float> first;
+        on_every_target([&] {
+            std::vector<float> out(pairs.size());
+            f.of_planes({planes[0].data(), planes[1].data(), planes[2].data()}, {planes[3].data(), planes[4].data(), planes[5].data()}, pairs.size(), out.data());
+            if (first.empty()) first = out;
+            for (std::size_t i = 0; i < pairs.size(); ++i) {
+                const Pair& p = pairs[i];
+                const double expected = f.of_pair(p.lab1, p.lab2);
+                if (std::isnan(expected) || std::isnan(out[i])) {
+                    // An infinite coordinate leaves no number, or infinity.
+                    ASSERT_FALSE(std::isfinite(expected) || std::isfinite(out[i])) << i;
+                    continue;
+                }
+                ASSERT_EQ(out[i], first[i]) << i;
+                if (f.relative == 0 || std::isinf(expected) || expected > 1e30)
+                    ASSERT_EQ(out[i], static_cast<float>(expected)) << i;
+                else
+                    ASSERT_NEAR(out[i], expected, f.relative * expected + f.absolute)
+                        << i << ": " << p.lab1[0] << " " << p.lab1[1] << " " << p.lab1[2] << ", " << p.lab2[0] << " " << p.lab2[1] << " " << p.lab2[2];
+            }
+        });
+    }
+}
+
 Real lab_distance(const Vector3& x, const Vector3& y, Metric metric) {
     const auto lab = [](const Vector3& rgb) {
         std::array<Real, 3> f{};
@@ -415,6 +490,35 @@ TEST(DifferenceKernel, gives_the_same_bytes_on_every_target_and_for_every_split)
             EXPECT_TRUE(std::isfinite(expected[77]));
         }
     });
+}
+
+TEST(DifferenceKernel, floats_by_vectors_keep_to_doubles_one_by_one_on_every_target) {
+    constexpr std::size_t n = 20011;
+    auto a = random_planes<float>(n, 25), b = random_planes<float>(n, 26);
+    std::mt19937 engine(27);
+    std::uniform_real_distribution<float> exponent(-42, 6);
+    for (std::size_t i = 0; i < n; i += 3)
+        for (std::size_t k = 0; k < 3; ++k) a[k][i] = std::pow(10.0f, exponent(engine)) * (engine() % 5 ? 1.0f : -1.0f);
+    for (std::size_t i = 0; i < n; i += 5)
+        for (std::size_t k = 0; k < 3; ++k) b[k][i] = i % 2 ? std::nextafter(a[k][i], 2.0f) : 0.0f;
+    std::array<std::vector<double>, 6> wide;
+    for (std::size_t k = 0; k < 3; ++k) wide[k].assign(a[k].begin(), a[k].end()), wide[3 + k].assign(b[k].begin(), b[k].end());
+    for (const Metric metric : {Metric::cie76, Metric::cie94, Metric::cmc, Metric::din99, Metric::itp, Metric::oklab}) {
+        const DifferenceKernel kernel(metric, bt709, bt709, d65);
+        std::vector<double> expected(n);
+        kernel({wide[0].data(), wide[1].data(), wide[2].data()}, {wide[3].data(), wide[4].data(), wide[5].data()}, n, expected.data());
+        on_every_target([&] {
+            std::vector<float> out(n);
+            kernel(pointers(a), pointers(b), n, out.data());
+            // The rounding to float; and of differences, what coordinates of up to 500 in Lab and 720 times the PQ curve, whose
+            // slope is 79, leave of their own roundings.
+            for (std::size_t i = 0; i < n; ++i) {
+                double largest = 1;
+                for (const auto& plane : wide) largest = std::max(largest, std::fabs(plane[i]));
+                ASSERT_NEAR(out[i], expected[i], 0x1p-23 * expected[i] + 2e-11 * std::cbrt(largest)) << metric_name(metric) << " " << i;
+            }
+        });
+    }
 }
 
 TEST(DifferenceKernel, is_exactly_zero_for_equal_pixels_and_takes_either_side_by_its_own_matrix) {
