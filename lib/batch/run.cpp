@@ -2,9 +2,7 @@
 #include <fmt/format.h>
 #include <sys/stat.h>
 #include <tbb/info.h>
-#include <tbb/parallel_for.h>
 #include <tbb/task_arena.h>
-#include <tbb/task_group.h>
 #include <unistd.h>
 
 #include <algorithm>
@@ -20,6 +18,7 @@
 #include "batch/discover.h"
 #include "batch/manifest.h"
 #include "io/internal.h"
+#include "parallel.h"
 
 namespace spectex {
 namespace {
@@ -117,7 +116,7 @@ public:
 
         list();
         arena_.execute([&] {
-            tbb::parallel_for(std::size_t{0}, items_.size(), [&](std::size_t i) {
+            parallel_for(std::size_t{0}, items_.size(), [&](std::size_t i) {
                 // Else a thread that waits within one file would begin the next on top of it.
                 tbb::this_task_arena::isolate([&] { decide(*items_[i]); });
             });
@@ -439,7 +438,7 @@ private:
         std::mutex mutex;
         std::uint64_t used = 0;
         std::size_t running = 0;
-        tbb::task_group group;
+        TaskGroup group;
         // Each task takes files until none is left that fits; whoever frees memory starts tasks for what waited. A thread
         // without a file helps with the strips of the others' files.
         std::function<void()> take = [&] {

@@ -1,11 +1,10 @@
 // Two files as rows of colour differences.
 #pragma once
 
-#include <tbb/parallel_invoke.h>
-
 #include <span>
 #include <string>
 
+#include "parallel.h"
 #include "pipeline/source.h"
 #include "pipeline/strips.h"
 
@@ -47,7 +46,7 @@ Status run_differences(DifferencePair& pair, const JobOptions& job, bool codes, 
             }
             // Decoders of whole files are serial: two of them keep two threads busy.
             Status of_a, of_b;
-            tbb::parallel_invoke([&] { of_a = pair.a.strips().read(y, n, b.a); }, [&] { of_b = pair.b.strips().read(y, n, b.b); });
+            parallel_for(0, 2, [&](int i) { i == 0 ? of_a = pair.a.strips().read(y, n, b.a) : of_b = pair.b.strips().read(y, n, b.b); });
             return of_a ? of_b : of_a;
         },
         [&](Buffers& b, int, int n) -> Status {

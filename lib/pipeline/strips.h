@@ -1,10 +1,7 @@
 // The one streaming driver: strips of whole rows, in order, with reading, computing and writing overlapped.
 #pragma once
 
-#include <tbb/blocked_range.h>
 #include <tbb/info.h>
-#include <tbb/parallel_for.h>
-#include <tbb/parallel_pipeline.h>
 #include <tbb/task_arena.h>
 
 #include <algorithm>
@@ -15,6 +12,7 @@
 #include <mutex>
 #include <optional>
 
+#include "parallel.h"
 #include "spectex/pipeline.h"
 
 namespace spectex::pipeline {
@@ -73,38 +71,30 @@ Status run_strips(const JobOptions& job, int width, int height, int rows, const 
         std::size_t next = 0;
         int y = 0;
         const auto run = [&] {
-            tbb::parallel_pipeline(
+            parallel_pipeline<Strip>(
                 strips_in_flight,
-                tbb::make_filter<void, Strip*>(tbb::filter_mode::serial_in_order,
-                                               [&](tbb::flow_control& flow) -> Strip* {
-                                                   if (y >= height || error.failed()) {
-                                                       flow.stop();
-                                                       return nullptr;
-                                                   }
-                                                   // Strip k + strips_in_flight starts only after strip k was written.
-                                                   const std::size_t slot = next++ % strips_in_flight;
-                                                   if (pool.size() <= slot)
-                                                       pool.push_back(std::unique_ptr<Strip>(new Strip{make()}));
-                                                   Strip* strip = pool[slot].get();
-                                                   strip->y = y;
-                                                   strip->rows = std::min(rows, height - y);
-                                                   y += strip->rows;
-                                                   error.check(read(strip->buffers, strip->y, strip->rows));
-                                                   return strip;
-                                               }) &
-                    tbb::make_filter<Strip*, Strip*>(tbb::filter_mode::parallel,
-                                                     [&](Strip* strip) {
-                                                         if (!error.failed())
-                                                             error.check(compute(strip->buffers, strip->y, strip->rows));
-                                                         return strip;
-                                                     }) &
-                    tbb::make_filter<Strip*, void>(tbb::filter_mode::serial_in_order, [&](Strip* strip) {
-                        if (error.failed()) return;
-                        error.check(write(strip->buffers, strip->y, strip->rows));
-                        if (job.progress && !error.failed())
-                            job.progress(static_cast<std::uint64_t>(strip->y + strip->rows) * static_cast<std::uint64_t>(width),
-                                         static_cast<std::uint64_t>(height) * static_cast<std::uint64_t>(width));
-                    }));
+                [&]() -> Strip* {
+                    if (y >= height || error.failed()) return nullptr;
+                    // Strip k + strips_in_flight starts only after strip k was written.
+                    const std::size_t slot = next++ % strips_in_flight;
+                    if (pool.size() <= slot) pool.push_back(std::unique_ptr<Strip>(new Strip{make()}));
+                    Strip* strip = pool[slot].get();
+                    strip->y = y;
+                    strip->rows = std::min(rows, height - y);
+                    y += strip->rows;
+                    error.check(read(strip->buffers, strip->y, strip->rows));
+                    return strip;
+                },
+                [&](Strip* strip) {
+                    if (!error.failed()) error.check(compute(strip->buffers, strip->y, strip->rows));
+                },
+                [&](Strip* strip) {
+                    if (error.failed()) return;
+                    error.check(write(strip->buffers, strip->y, strip->rows));
+                    if (job.progress && !error.failed())
+                        job.progress(static_cast<std::uint64_t>(strip->y + strip->rows) * static_cast<std::uint64_t>(width),
+                                     static_cast<std::uint64_t>(height) * static_cast<std::uint64_t>(width));
+                });
         };
         // A thread that waits for this job's strips must not begin another file in the meantime.
         if (job.in_callers_arena)
@@ -123,14 +113,10 @@ Status run_strips(const JobOptions& job, int width, int height, int rows, const 
 template <class Body>
 void for_row_groups(int rows, int width, const Body& body) {
     const auto grain = static_cast<std::size_t>(std::max(1, 8192 / std::max(width, 1)));
-    tbb::parallel_for(
-        tbb::blocked_range<std::size_t>(0, (static_cast<std::size_t>(rows) + grain - 1) / grain, 1),
-        [&](const tbb::blocked_range<std::size_t>& range) {
-            for (std::size_t group = range.begin(); group != range.end(); ++group) {
-                const std::size_t first = group * grain;
-                body(static_cast<int>(first), static_cast<int>(std::min(grain, static_cast<std::size_t>(rows) - first)));
-            }
-        });
+    parallel_for(std::size_t{0}, (static_cast<std::size_t>(rows) + grain - 1) / grain, [&](std::size_t group) {
+        const std::size_t first = group * grain;
+        body(static_cast<int>(first), static_cast<int>(std::min(grain, static_cast<std::size_t>(rows) - first)));
+    });
 }
 
 }  // namespace spectex::pipeline
