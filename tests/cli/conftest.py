@@ -3,7 +3,10 @@
 import json
 import os
 import pathlib
+import socket
+import struct
 import subprocess
+import threading
 
 import numpy as np
 import OpenImageIO as oiio
@@ -39,13 +42,79 @@ class Outcome:
         return f"exit {self.code}\nstdout:\n{self.stdout[-4000:]}\nstderr:\n{self.stderr[-4000:]}"
 
 
+class ToolServer:
+    """A tool with its libraries loaded, of which each run is a fork (tool_server.cpp)."""
+
+    servers = {}
+
+    @classmethod
+    def of(cls, tool):
+        """None where the build has no such library to preload."""
+        library = os.environ.get("SPECTEX_TOOL_SERVER_LIBRARY")
+        if library and tool not in cls.servers:
+            cls.servers[tool] = cls(BIN / tool, library)
+        return cls.servers.get(tool)
+
+    def __init__(self, path, library):
+        self.socket, theirs = socket.socketpair()
+        with theirs:
+            fd = theirs.fileno()
+            self.process = subprocess.Popen(
+                [path], stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, pass_fds=[fd],
+                env={**os.environ, "LD_PRELOAD": library, "SPECTEX_TOOL_SERVER": str(fd)})
+
+    def number(self):
+        data = self.socket.recv(4, socket.MSG_WAITALL)
+        assert len(data) == 4, f"the server of {self.process.args[0]} has ended: {self.process.wait()}"
+        return struct.unpack("=i", data)[0]
+
+    def run(self, command, timeout, cwd):
+        """As subprocess.run with captured output and nothing to read."""
+        words = [os.path.abspath(cwd or "."), str(len(command)), *command, *[f"{k}={v}" for k, v in os.environ.items()]]
+        request = b"".join(os.fsencode(w) + b"\0" for w in words)
+        pipes = [os.pipe(), os.pipe()]
+        with open(os.devnull, "rb") as nothing:
+            socket.send_fds(self.socket, [struct.pack("=I", len(request))], [nothing.fileno(), pipes[0][1], pipes[1][1]])
+        self.socket.sendall(request)
+        for _, write_end in pipes:
+            os.close(write_end)
+        said = [b"", b""]
+
+        def listen(i):
+            with open(pipes[i][0], "rb") as read_end:
+                said[i] = read_end.read()
+
+        listeners = [threading.Thread(target=listen, args=(i,)) for i in range(2)]
+        for listener in listeners:
+            listener.start()
+        pid = self.number()
+        self.socket.settimeout(timeout)
+        try:
+            status = self.number()
+        except TimeoutError:
+            os.kill(pid, 9)
+            self.socket.settimeout(None)
+            self.number()
+            raise subprocess.TimeoutExpired(command, timeout) from None
+        finally:
+            self.socket.settimeout(None)
+        for listener in listeners:
+            listener.join()
+        return subprocess.CompletedProcess(command, os.waitstatus_to_exitcode(status), *said)
+
+
 def run_tool(tool, *args, input=None, timeout=120, env=None, cwd=None, check=None):
     """Runs a tool; `env` is added to the environment, `check` is the exit code expected."""
-    finished = subprocess.run(
-        [str(BIN / tool), *[a if isinstance(a, bytes) else str(a) for a in args]],
-        input=input, stdin=subprocess.DEVNULL if input is None else None,
-        stdout=subprocess.PIPE, stderr=subprocess.PIPE, timeout=timeout, cwd=cwd,
-        env={**os.environ, **(env or {})})
+    command = [str(BIN / tool), *[a if isinstance(a, bytes) else str(a) for a in args]]
+    # Libraries may look at the environment while they are loaded.
+    server = ToolServer.of(tool) if input is None and not env else None
+    if server:
+        finished = server.run(command, timeout, cwd)
+    else:
+        finished = subprocess.run(
+            command, input=input, stdin=subprocess.DEVNULL if input is None else None,
+            stdout=subprocess.PIPE, stderr=subprocess.PIPE, timeout=timeout, cwd=cwd,
+            env={**os.environ, **(env or {})})
     outcome = Outcome(finished)
     if check is not None:
         assert outcome.code == check, outcome

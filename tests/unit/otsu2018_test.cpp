@@ -1,5 +1,10 @@
 #include <gtest/gtest.h>
 
+#include <algorithm>
+#include <cmath>
+#include <numeric>
+#include <vector>
+
 #include <Eigen/Dense>
 #include <nlohmann/json.hpp>
 
@@ -77,15 +82,52 @@ Measured measured(const Colorimetry& c) {
     return out;
 }
 
-/// Errors of reconstructing these samples, one by one, by components of a singular value decomposition.
+using RowMajor = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
+
+/// The three singular vectors of the largest singular values, by rotating rows until all are orthogonal.
+/// Source: Hestenes 1958, doi:10.1137/0106005; none of Eigen's decompositions, which the library uses.
+Eigen::MatrixXd leading_three(RowMajor rows) {
+    const Eigen::Index n = rows.rows();
+    RowMajor turned = RowMajor::Identity(n, n);
+    // Rows without power have no direction to speak of.
+    const double least = 1e-20 * rows.squaredNorm();
+    double off = 1;
+    // Converges quadratically, and what is compared is kept with six digits.
+    for (int sweep = 0; off > 1e-9 && sweep < 40; ++sweep) {
+        off = 0;
+        for (Eigen::Index i = 0; i < n; ++i)
+            for (Eigen::Index j = i + 1; j < n; ++j) {
+                const double a = rows.row(i).squaredNorm(), b = rows.row(j).squaredNorm(), c = rows.row(i).dot(rows.row(j));
+                if (std::min(a, b) < least || !(std::abs(c) > 1e-15 * std::sqrt(a * b))) continue;
+                off = std::max(off, std::abs(c) / std::sqrt(a * b));
+                const double zeta = (b - a) / (2 * c), t = std::copysign(1 / (std::abs(zeta) + std::hypot(1.0, zeta)), zeta);
+                const double cosine = 1 / std::hypot(1.0, t), sine = cosine * t;
+                for (RowMajor* m : {&rows, &turned}) {
+                    const Eigen::RowVectorXd first = m->row(i);
+                    m->row(i) = cosine * first - sine * m->row(j);
+                    m->row(j) = sine * first + cosine * m->row(j);
+                }
+            }
+    }
+    EXPECT_LE(off, 1e-9);
+    std::vector<Eigen::Index> order(static_cast<std::size_t>(n));
+    std::iota(order.begin(), order.end(), 0);
+    std::sort(order.begin(), order.end(), [&](auto i, auto j) { return rows.row(i).squaredNorm() > rows.row(j).squaredNorm(); });
+    Eigen::MatrixXd out(n, 3);
+    for (Eigen::Index k = 0; k < 3; ++k) out.col(k) = turned.row(order[static_cast<std::size_t>(k)]).transpose();
+    return out;
+}
+
+/// Errors of reconstructing these samples, one by one, by components of a decomposition of their scatter.
 double error_of(const std::vector<const Eigen::VectorXd*>& samples, const Eigen::MatrixXd& sense, std::vector<Eigen::VectorXd>* back = nullptr) {
     Eigen::MatrixXd x(samples[0]->size(), static_cast<Eigen::Index>(samples.size()));
     for (std::size_t i = 0; i < samples.size(); ++i) x.col(static_cast<Eigen::Index>(i)) = *samples[i];
     const Eigen::VectorXd mean = x.rowwise().mean();
     x.colwise() -= mean;
-    const Eigen::BDCSVD<Eigen::MatrixXd> svd(x, Eigen::ComputeThinU);
-    const Eigen::MatrixXd basis = svd.matrixU().leftCols(3);
-    const Eigen::MatrixXd guess = basis * (sense * basis).colPivHouseholderQr().solve(sense * x);
+    const Eigen::MatrixXd basis = leading_three(x.lazyProduct(x.transpose()));
+    const Eigen::Matrix3d seen = sense.lazyProduct(basis);
+    const Eigen::Matrix3Xd weights = seen.inverse().lazyProduct(sense.lazyProduct(x).eval());
+    const Eigen::MatrixXd guess = basis.lazyProduct(weights);
     if (back)
         for (Eigen::Index i = 0; i < x.cols(); ++i) back->push_back(mean + guess.col(i));
     return (x - guess).squaredNorm();
