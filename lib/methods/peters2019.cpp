@@ -17,8 +17,11 @@
 #include <algorithm>
 #include <cmath>
 #include <complex>
+#include <mutex>
 #include <numbers>
 
+#include "kernels/arctangent.h"
+#include "kernels/sigmoid.h"
 #include "methods/registry.h"
 #include "spectex/color.h"
 
@@ -32,7 +35,10 @@ constexpr double darkest = 0x1p-12;
 /// How near to the boundary of what bounded functions have: far nearer than floats resolve, enough for finite multipliers.
 constexpr double largest_reflection = 1 - 1e-12;
 constexpr double first_nm = 360, last_nm = 830;
+/// Of the tables of near solutions: the second is solved from the guesses of the first.
+constexpr std::array<std::size_t, 2> resolutions{7, 17};
 
+Vector3 grey_multipliers(const Vector3& q) { return {-1 / std::tan(pi * ((q[0] + q[1] + q[2]) / 3)), 0, 0}; }
 double norm(const Vector3& v) { return std::sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2]); }
 
 }  // namespace
@@ -88,7 +94,40 @@ double phase_cosine(const Observer& observer, double wavelength_nm) {
     return std::cos(pi * below / all);
 }
 
-Solver::Solver(const Colorimetry& colorimetry) {
+/// Multipliers times z over (block, w, y, x), as kernels::SigmoidEquations has its coefficients: the block is the index of the
+/// largest component z of q, w = sqrt(z), x and y are the next two over z. With the factor the table has a limit at black.
+struct Solver::Near {
+    std::once_flag made;
+    kernels::ArctangentEquations equations;
+    std::size_t resolution = 0;
+    std::vector<Vector3> table;
+
+    /// @param z  largest component of q.
+    Vector3 guess(const Vector3& q, double z) const {
+        using Warp = kernels::SigmoidEquations;
+        const std::size_t n = resolution, largest = static_cast<std::size_t>(std::max_element(q.begin(), q.end()) - q.begin());
+        const std::array<double, 3> position{Warp::ratio_position(q[(largest + 1) % 3] / z), Warp::ratio_position(q[(largest + 2) % 3] / z),
+                                             Warp::root_position(std::sqrt(z))};
+        std::array<std::size_t, 3> cell{};
+        std::array<double, 3> fraction{};
+        for (std::size_t k = 0; k < 3; ++k) {
+            const double p = std::clamp(position[k], 0.0, 1.0) * static_cast<double>(n - 1);
+            cell[k] = std::min(static_cast<std::size_t>(p), n - 2);
+            fraction[k] = p - static_cast<double>(cell[k]);
+        }
+        Vector3 v{};
+        for (std::size_t corner = 0; corner < 8; ++corner) {
+            const std::size_t dx = corner & 1, dy = corner >> 1 & 1, dz = corner >> 2;
+            const double weight = (dx ? fraction[0] : 1 - fraction[0]) * (dy ? fraction[1] : 1 - fraction[1]) *
+                                  (dz ? fraction[2] : 1 - fraction[2]) / z;
+            const Vector3& vertex = table[((largest * n + cell[2] + dz) * n + cell[1] + dy) * n + cell[0] + dx];
+            for (std::size_t i = 0; i < 3; ++i) v[i] += weight * vertex[i];
+        }
+        return v;
+    }
+};
+
+Solver::Solver(const Colorimetry& colorimetry) : near_(std::make_shared<Near>()) {
     const auto& a = colorimetry.sensing_matrix();
     const std::size_t n = colorimetry.bands().size();
     for (std::size_t b = 0; b < n; ++b) {
@@ -144,9 +183,9 @@ bool Solver::newton(const Vector3& q, Vector3& v, Solution& report) const {
     return size < 1e-12;
 }
 
-Solution Solver::solve(const Vector3& rgb) const {
-    Solution s;
-    Vector3 q;
+bool Solver::prepare(const Vector3& rgb, Solution& s, Prepared& out) {
+    s = {};
+    Vector3& q = out.q;
     for (std::size_t i = 0; i < 3; ++i) q[i] = rgb[i] > 0 ? std::min(rgb[i], 1.0) : 0.0;
     double top = std::max({q[0], q[1], q[2]}), low = std::min({q[0], q[1], q[2]});
     s.complement = 1 - low < top;
@@ -157,7 +196,7 @@ Solution Solver::solve(const Vector3& rgb) const {
     }
     if (!(top > 0)) {
         s.scale = 0;
-        return s;
+        return false;
     }
     if (top < darkest) {
         s.scale = top / darkest;
@@ -165,9 +204,82 @@ Solution Solver::solve(const Vector3& rgb) const {
         for (double& v : q) v = v / top * darkest;
         top = darkest;
     }
+    out.top = top, out.low = low;
+    return true;
+}
+
+const Solver::Near& Solver::near() const {
+    std::call_once(near_->made, [&] {
+        Near& near = *near_;
+        for (std::size_t b = 0; b < x_.size(); ++b) near.equations.bands.push_back({x_[b], sense_[b]});
+        for (const std::size_t n : resolutions) {
+            const auto at = [last = static_cast<double>(n - 1)](std::size_t k) { return static_cast<double>(k) / last; };
+            std::vector<double> rgb, largest;
+            for (std::size_t vertex = 0; vertex < 3 * n * n * n; ++vertex) {
+                const std::size_t block = vertex / (n * n * n), k = vertex / (n * n) % n, y = vertex / n % n, x = vertex % n;
+                const double z = std::max(std::pow(kernels::SigmoidEquations::root_at(at(k)), 2), darkest);
+                largest.push_back(z);
+                Vector3 q;
+                q[block] = z;
+                q[(block + 1) % 3] = z * kernels::SigmoidEquations::ratio_at(at(x));
+                q[(block + 2) % 3] = z * kernels::SigmoidEquations::ratio_at(at(y));
+                rgb.insert(rgb.end(), q.begin(), q.end());
+            }
+            std::vector<Solution> solved(largest.size());
+            if (near.resolution == 0)
+                for (std::size_t i = 0; i < solved.size(); ++i) solved[i] = solve({rgb[3 * i], rgb[3 * i + 1], rgb[3 * i + 2]});
+            else
+                solve(rgb, solved.data(), near);
+            near.table.assign(solved.size(), {});
+            for (std::size_t i = 0; i < solved.size(); ++i)
+                for (std::size_t l = 0; l < 3; ++l) near.table[i][l] = (solved[i].complement ? -1 : 1) * solved[i].multipliers[l] * largest[i];
+            near.resolution = n;
+        }
+    });
+    return *near_;
+}
+
+void Solver::solve(std::span<const double> rgb, Solution* out) const { solve(rgb, out, near()); }
+
+void Solver::solve(std::span<const double> rgb, Solution* out, const Near& near) const {
+    constexpr std::size_t block = 256;
+    std::array<double, block> q[3], v[3];
+    std::array<std::size_t, block> where;
+    std::array<bool, block> accepted;
+    const std::size_t n = rgb.size() / 3;
+    for (std::size_t begin = 0; begin < n; begin += block) {
+        std::size_t gathered = 0;
+        for (std::size_t i = begin; i < std::min(begin + block, n); ++i) {
+            Prepared p;
+            if (!prepare({rgb[3 * i], rgb[3 * i + 1], rgb[3 * i + 2]}, out[i], p)) continue;
+            if (p.top - p.low <= 1e-15 * p.top) {
+                out[i].multipliers = grey_multipliers(p.q);
+                continue;
+            }
+            const Vector3 start = near.guess(p.q, p.top);
+            for (std::size_t k = 0; k < 3; ++k) q[k][gathered] = p.q[k], v[k][gathered] = start[k];
+            where[gathered++] = i;
+        }
+        kernels::refine_arctangents(near.equations, {q[0].data(), q[1].data(), q[2].data()}, gathered,
+                                    {v[0].data(), v[1].data(), v[2].data()}, accepted.data());
+        for (std::size_t g = 0; g < gathered; ++g) {
+            const std::size_t i = where[g];
+            if (accepted[g])
+                out[i].multipliers = {v[0][g], v[1][g], v[2][g]};
+            else
+                out[i] = solve({rgb[3 * i], rgb[3 * i + 1], rgb[3 * i + 2]});
+        }
+    }
+}
+
+Solution Solver::solve(const Vector3& rgb) const {
+    Solution s;
+    Prepared p;
+    if (!prepare(rgb, s, p)) return s;
+    const auto& [q, top, low] = p;
     // A grey of the same brightness has P constant; from there along the straight line, in as long steps as Newton bears.
     const double grey = (q[0] + q[1] + q[2]) / 3;
-    Vector3 v{-1 / std::tan(pi * grey), 0, 0};
+    Vector3 v = grey_multipliers(q);
     if (top - low <= 1e-15 * top) {
         s.multipliers = v;
         return s;
@@ -188,14 +300,15 @@ Solution Solver::solve(const Vector3& rgb) const {
     return s;
 }
 
-double Solver::reflectance(const Solution& s, std::size_t b) const {
-    const Vector3& v = s.multipliers;
-    const double g = s.scale > 0 ? s.scale * bounded((v[2] * x_[b] + v[1]) * x_[b] + v[0]) : 0;
-    return s.complement ? 1 - g : g;
-}
-
-void Solver::spectrum(const Solution& s, double* out) const {
-    for (std::size_t b = 0; b < x_.size(); ++b) out[b] = reflectance(s, b);
+void Solver::reflectances(const Solution& s, std::span<const double> x, double* out) {
+    if (s.scale > 0)
+        kernels::evaluate_arctangents(s.multipliers, x, out);
+    else
+        std::fill_n(out, x.size(), 0.0);
+    if (s.scale < 1)
+        for (std::size_t b = 0; b < x.size(); ++b) out[b] *= s.scale;
+    if (s.complement)
+        for (std::size_t b = 0; b < x.size(); ++b) out[b] = 1 - out[b];
 }
 
 Vector3 Solver::moments(const Solution& s) {
@@ -247,34 +360,29 @@ public:
     }
 
     void reflectance(std::span<const double> rgb, std::span<double> out) const override {
-        const std::size_t bands = colorimetry().bands().size();
-        for (std::size_t p = 0; 3 * p + 2 < rgb.size(); ++p)
-            solver_.spectrum(solver_.solve({rgb[3 * p], rgb[3 * p + 1], rgb[3 * p + 2]}), &out[p * bands]);
+        spectra(rgb, solver_.phase_cosines(), out);
     }
     std::vector<std::string> coefficient_names() const override {
         if (slopes_.empty()) return {"m0", "m1", "m2"};
         return {"R", "G", "B"};
     }
     void coefficients(std::span<const double> rgb, std::span<double> out) const override {
-        for (std::size_t p = 0; 3 * p + 2 < rgb.size(); ++p) {
-            Vector3 m = Solver::moments(solver_.solve({rgb[3 * p], rgb[3 * p + 1], rgb[3 * p + 2]}));
+        of_each(rgb, [&](std::size_t p, const Solution& s) {
+            Vector3 m = Solver::moments(s);
             if (!slopes_.empty()) m = to_fourier_ * m;
             std::copy(m.begin(), m.end(), &out[3 * p]);
-        }
+        });
     }
     void reflectance_of_coefficients(std::span<const double> coefficients, std::span<double> out) const override {
-        const std::size_t bands = colorimetry().bands().size();
-        for (std::size_t p = 0; 3 * p + 2 < coefficients.size(); ++p) solver_.spectrum(solution_of(&coefficients[3 * p]), &out[p * bands]);
+        spectra_of_coefficients(coefficients, solver_.phase_cosines(), out);
     }
     bool bands_apart() const override { return true; }
     void reflectance_in(std::span<const std::size_t> bands, std::span<const double> rgb, std::span<double> out) const override {
-        for (std::size_t p = 0; 3 * p + 2 < rgb.size(); ++p)
-            some_bands(solver_.solve({rgb[3 * p], rgb[3 * p + 1], rgb[3 * p + 2]}), bands, &out[p * bands.size()]);
+        spectra(rgb, cosines_of(bands), out);
     }
     void reflectance_of_coefficients_in(std::span<const std::size_t> bands, std::span<const double> coefficients,
                                         std::span<double> out) const override {
-        for (std::size_t p = 0; 3 * p + 2 < coefficients.size(); ++p)
-            some_bands(solution_of(&coefficients[3 * p]), bands, &out[p * bands.size()]);
+        spectra_of_coefficients(coefficients, cosines_of(bands), out);
     }
     std::string to_json() const override {
         Json json = model_json(*this);
@@ -287,8 +395,29 @@ private:
         const Vector3 m{coefficients[0], coefficients[1], coefficients[2]};
         return Solver::of_moments(slopes_.empty() ? m : to_moments_ * m);
     }
-    void some_bands(const Solution& s, std::span<const std::size_t> bands, double* out) const {
-        for (std::size_t k = 0; k < bands.size(); ++k) out[k] = solver_.reflectance(s, bands[k]);
+    /// take(p, solution) of each colour.
+    template <class Take>
+    void of_each(std::span<const double> rgb, const Take& take) const {
+        constexpr std::size_t block = 256;
+        std::array<Solution, block> solved;
+        const std::size_t n = rgb.size() / 3;
+        for (std::size_t begin = 0; begin < n; begin += block) {
+            const std::size_t count = std::min(block, n - begin);
+            solver_.solve(rgb.subspan(3 * begin, 3 * count), solved.data());
+            for (std::size_t i = 0; i < count; ++i) take(begin + i, solved[i]);
+        }
+    }
+    void spectra(std::span<const double> rgb, std::span<const double> x, std::span<double> out) const {
+        of_each(rgb, [&](std::size_t p, const Solution& s) { Solver::reflectances(s, x, &out[p * x.size()]); });
+    }
+    void spectra_of_coefficients(std::span<const double> coefficients, std::span<const double> x, std::span<double> out) const {
+        for (std::size_t p = 0; 3 * p + 2 < coefficients.size(); ++p)
+            Solver::reflectances(solution_of(&coefficients[3 * p]), x, &out[p * x.size()]);
+    }
+    std::vector<double> cosines_of(std::span<const std::size_t> bands) const {
+        std::vector<double> x;
+        for (const std::size_t b : bands) x.push_back(solver_.phase_cosines()[b]);
+        return x;
     }
 
     Solver solver_;

@@ -42,15 +42,30 @@ public:
     explicit Solver(const Colorimetry& colorimetry);
     /// @param rgb  linear; clamped to [0,1], NaN to 0.
     Solution solve(const Vector3& rgb) const;
-    /// @param out  [bands], each in [0,1].
-    double reflectance(const Solution& solution, std::size_t band) const;
-    void spectrum(const Solution& solution, double* out) const;
+    /// The same for n colours, by vectors from a table of near solutions that the first call makes; those of which that fails
+    /// one by one. `error` and `steps` are left as they are.
+    /// @param rgb  [n][3].  @param out  [n].
+    void solve(std::span<const double> rgb, Solution* out) const;
+    /// At bands' phases.  @param x  their cosines.  @param out  [x], each in [0,1].
+    static void reflectances(const Solution& solution, std::span<const double> x, double* out);
+    const std::vector<double>& phase_cosines() const { return x_; }
     static Vector3 moments(const Solution& solution);
     /// Any three numbers; NaN counts as 0.
     static Solution of_moments(Vector3 moments);
 
 private:
+    struct Near;
+    /// q is the darker half's, z its largest component.
+    struct Prepared {
+        Vector3 q{};
+        double top = 0, low = 0;
+    };
+    /// @return false where it is black, or its complement is.
+    static bool prepare(const Vector3& rgb, Solution& s, Prepared& out);
     bool newton(const Vector3& q, Vector3& v, Solution& report) const;
+    void solve(std::span<const double> rgb, Solution* out, const Near& near) const;
+    const Near& near() const;
+    std::shared_ptr<Near> near_;  ///< made when it is first asked for
     std::vector<double> x_;                     ///< [bands] cos phi
     std::vector<std::array<double, 3>> sense_;  ///< [bands] columns of A
 };

@@ -1,12 +1,15 @@
 #include "methods/peters2019.h"
 
 #include <gtest/gtest.h>
+#include <hwy/targets.h>
 
 #include <chrono>
 #include <complex>
+#include <cstring>
 #include <nlohmann/json.hpp>
 #include <numbers>
 
+#include "kernels/arctangent.h"
 #include "method_checks.h"
 #include "reference.h"
 #include "spectex/color.h"
@@ -107,8 +110,72 @@ TEST(Moments, ThatNoFunctionHasGiveBoundedSpectraAllTheSame) {
     for (std::size_t i = 0; i < many; ++i) list.push_back({uniform(random), signed_third(random), signed_third(random)});
     std::vector<double> r(81);
     for (const auto& m : list) {
-        solver.spectrum(Solver::of_moments(m), r.data());
+        Solver::reflectances(Solver::of_moments(m), solver.phase_cosines(), r.data());
         for (const double v : r) ASSERT_TRUE(v >= 0 && v <= 1) << m[0] << " " << m[1] << " " << m[2] << ": " << v;
+    }
+}
+
+/// Runs `check` on every instruction set that this machine and build have.
+template <class Check>
+void on_every_target(const Check& check) {
+    const std::int64_t all = hwy::SupportedTargets();
+    for (std::int64_t rest = all; rest != 0; rest &= rest - 1) {
+        const std::int64_t target = rest & -rest;
+        SCOPED_TRACE(hwy::TargetName(target));
+        hwy::SetSupportedTargetsForTest(target);
+        check();
+    }
+    hwy::SetSupportedTargetsForTest(0);
+}
+
+TEST(Arctangents, MatchLongDoubleOnEveryTargetByteForByte) {
+    std::mt19937_64 random(9);
+    std::uniform_real_distribution<double> exponent(-12, 14);
+    std::vector<double> p{0.0, -0.0, 1, -1, std::numbers::sqrt2 - 1, std::numbers::sqrt2 + 1, 0x1p80, -0x1p80};
+    for (std::size_t i = 0; i < many; ++i) p.push_back(std::pow(10, exponent(random)) * (i % 2 ? 1 : -1));
+    std::vector<double> first;
+    on_every_target([&] {
+        std::vector<double> g(p.size());
+        kernels::evaluate_arctangents({0, 1, 0}, p, g.data());
+        for (std::size_t i = 0; i < p.size(); ++i) {
+            const long double expected = std::atan2(1.0L, -static_cast<long double>(p[i])) / std::numbers::pi_v<long double>;
+            // The quotient, the polynomial's last product and sum, the base and the share of pi round, by half a unit each.
+            ASSERT_NEAR(static_cast<double>(g[i] / expected), 1, 4 * 0x1p-53) << p[i];
+        }
+        if (first.empty()) first = g;
+        EXPECT_EQ(std::memcmp(first.data(), g.data(), g.size() * sizeof(double)), 0);
+        double nothing = 0;
+        kernels::evaluate_arctangents({std::nan(""), 0, 0}, std::vector<double>{1}, &nothing);
+        EXPECT_TRUE(std::isnan(nothing));
+    });
+}
+
+TEST(Peters2019, VectorsSolveWhatOneByOneSolvesInTheSameBytesForEveryTargetAndSplit) {
+    const Solver solver(colorimetry());
+    std::vector<double> list;
+    for (const auto& rgb : colors(many)) list.insert(list.end(), rgb.begin(), rgb.end());
+    const std::size_t n = list.size() / 3;
+    std::vector<Solution> first;
+    on_every_target([&] {
+        std::vector<Solution> whole(n), parts(n);
+        solver.solve(list, whole.data());
+        for (std::size_t at = 0, step = 1; at < n; at += step, step = step % 37 + 1)
+            solver.solve(std::span(list).subspan(3 * at, 3 * std::min(step, n - at)), parts.data() + at);
+        if (first.empty()) first = whole;
+        for (std::size_t i = 0; i < n; ++i) {
+            ASSERT_EQ(whole[i].multipliers, first[i].multipliers) << i;
+            ASSERT_EQ(parts[i].multipliers, first[i].multipliers) << i;
+        }
+    });
+    std::vector<double> a(solver.phase_cosines().size()), b(a.size());
+    for (std::size_t i = 0; i < n; ++i) {
+        const auto one = solver.solve(Vector3{list[3 * i], list[3 * i + 1], list[3 * i + 2]});
+        ASSERT_EQ(one.complement, first[i].complement);
+        ASSERT_EQ(one.scale, first[i].scale);
+        Solver::reflectances(one, solver.phase_cosines(), a.data());
+        Solver::reflectances(first[i], solver.phase_cosines(), b.data());
+        // Residuals of 1e-13 of the colour, and steep flanks, on which a band moves by some hundred times as much.
+        for (std::size_t k = 0; k < a.size(); ++k) ASSERT_NEAR(a[k], b[k], 1e-9) << i;
     }
 }
 
