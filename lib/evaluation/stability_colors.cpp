@@ -271,19 +271,23 @@ void matrix_and_lab(Study& study) {
                     double size = 100;
                     for (std::size_t k = 0; k < 3; ++k) size = std::max(size, std::fabs(static_cast<double>(exact[k])));
                     double most = 0;
+                    const auto f = [](long double v) { return v > 216.0L / 24389 ? std::cbrt(v) : 841.0L / 108 * v + 4.0L / 29; };
                     for (std::size_t row = 0; row < 3; ++row) {
                         double sum = 0;
                         for (std::size_t k = 0; k < 3; ++k) sum += std::fabs(m(row, k) * rgb[k]);
-                        most = std::max(most, sum / white[row]);
+                        sum /= white[row];
+                        most = std::max(most, sum);
+                        // Terms that have cancelled leave a root far steeper than that of their size: what it makes of one unit of them.
+                        const auto v = static_cast<long double>(xyz[row] / w[row]), unit = 0x1p-53L * sum;
+                        size = std::max(size, static_cast<double>(500 * (f(v + unit) - f(v - unit)) / 0x1p-52L));
                     }
-                    size = std::max(size, 500 * (most > 216.0 / 24389 ? std::cbrt(most) : 841.0 / 108 * most + 4.0 / 29));
+                    size = std::max(size, 500 * static_cast<double>(f(most)));
                     ulp = de = 0;
                     for (const Vector3& v : {got, scalar}) {
                         const auto d = quad::distance(quad::wide<Real>(v), exact);
                         if (!(d == d)) ulp = std::nan("");
                         de = std::max(de, static_cast<double>(d));
                     }
-                    // Negative and positive terms that cancel: the slope of f is at most 841/108 at a small sum, f(t) / t below.
                     ulp = std::isnan(ulp) ? ulp : de / (size * 0x1p-53);
                 };
                 double u, de;
@@ -294,9 +298,9 @@ void matrix_and_lab(Study& study) {
             }
         });
         study.add("colours", single ? "linear RGB to Lab, float planes" : "linear RGB to Lab, double", "2^-53 of terms", tally, describe,
-                  {128, 1e-11,
-                   "three products and three sums, some of differences twice as large, then a cube root in which a sum that has cancelled "
-                   "counts with the slope at black, 7.8 instead of f(t) / t"});
+                  {16, 1e-11,
+                   "three products and three sums, some of differences twice as large, in units of what one rounding of the terms makes of the "
+                   "coordinates"});
     }
 }
 

@@ -6,6 +6,8 @@
 // tridiagonal, so that a step costs O(bands): the system of the multipliers is 3x3. Colours nearer to white than to black are
 // solved as their complements, 1 - rgb and -z, which is the same problem and keeps its digits. Black and white are the limits
 // z -> -inf and +inf, greys are flat.
+#include "methods/burns2020.h"
+
 #include <fmt/format.h>
 
 #include <algorithm>
@@ -13,145 +15,139 @@
 
 #include "methods/registry.h"
 
+namespace spectex::burns2020 {
+
+Solver::Solver(const Colorimetry& colorimetry) : a_(colorimetry.sensing_matrix()) {
+    const auto& nm = colorimetry.bands().wavelengths_nm();
+    const double mean = (nm.back() - nm.front()) / static_cast<double>(nm.size() - 1);
+    for (std::size_t l = 0; l + 1 < nm.size(); ++l) {
+        const double h = nm[l + 1] - nm[l];
+        // Even grids have centres rounded to 1e-6 nm.
+        slope_.push_back(std::abs(h - mean) < 2e-6 ? 1.0 : mean * mean / (h * h));
+    }
+}
+
+Solution Solver::solve(const double* rgb, double* out, Work& work) const {
+    const std::size_t n = bands();
+    const double top = std::max({rgb[0], rgb[1], rgb[2]}), low = std::min({rgb[0], rgb[1], rgb[2]});
+    if (top - low <= 1e-14 * top || !(top > 0)) {
+        std::fill_n(out, n, (rgb[0] + rgb[1] + rgb[2]) / 3);
+        return {};
+    }
+    const bool complement = 1 - low < top;
+    Vector3 color{rgb[0], rgb[1], rgb[2]};
+    if (complement)
+        for (double& v : color) v = 1 - v;
+    const Solution solution = newton(color, work);
+    // 1 - r as 1 - r: r is the smaller of the two and exact to its own digits.
+    for (std::size_t l = 0; l < n; ++l) out[l] = complement ? 1 - work.best[l] : work.best[l];
+    return solution;
+}
+
+Solution Solver::newton(const Vector3& color, Work& w) const {
+    const std::size_t n = slope_.size() + 1;
+    const auto& a = a_;
+    const double unit = 1 / std::max({color[0], color[1], color[2]});
+    const double mean = std::clamp((color[0] + color[1] + color[2]) / 3, 1e-300, 0.5);
+    std::fill(w.z.begin(), w.z.end(), 0.5 * (std::log(mean) - std::log1p(-mean)));
+    Vector3 y{};
+    double best = HUGE_VAL;
+    bool near = false;
+    constexpr int max_steps = 200;
+    int settled = 0, step = 0;
+    for (; step < max_steps; ++step) {
+        Vector3 residual{-color[0], -color[1], -color[2]};
+        for (std::size_t l = 0; l < n; ++l) {
+            w.r[l] = 1 / (1 + std::exp(-2 * w.z[l]));
+            for (std::size_t c = 0; c < 3; ++c) residual[c] += a[c * n + l] * w.r[l];
+        }
+        const double error = unit * std::max({std::abs(residual[0]), std::abs(residual[1]), std::abs(residual[2])});
+        // The last steps change rounding only; of those the best is kept.
+        if (error < best || settled == 0) best = error, w.best = w.r;
+        if (settled > 0 && (error < 4e-16 || settled > 2)) break;
+
+        // Gradient and Hessian of the Lagrangian sum w (dz)^2 + y . unit (A r - rgb), right sides -gradient and J^T.
+        for (std::size_t l = 0; l < n; ++l) {
+            const double r = w.r[l], first = 2 * r * (1 - r), second = 2 * first * (1 - 2 * r);
+            const double s = unit * (y[0] * a[l] + y[1] * a[n + l] + y[2] * a[2 * n + l]);
+            double gradient = first * s, curvature = second * s;
+            // Far from the solution a convex model; near it Newton's own, which converges quadratically.
+            if (!near) curvature = std::max(curvature, 0.0);
+            double diagonal = curvature + 1e-7;
+            if (l > 0) {
+                gradient += 2 * slope_[l - 1] * (w.z[l] - w.z[l - 1]);
+                diagonal += 2 * slope_[l - 1];
+            }
+            if (l + 1 < n) {
+                gradient -= 2 * slope_[l] * (w.z[l + 1] - w.z[l]);
+                diagonal += 2 * slope_[l];
+            }
+            w.diagonal[l] = diagonal;
+            double* right = &w.right[4 * l];
+            right[0] = -gradient;
+            for (std::size_t c = 0; c < 3; ++c) right[1 + c] = unit * a[c * n + l] * first;
+        }
+        // Tridiagonal LDL^T with four right sides.
+        std::array<double, 9> schur{};
+        Vector3 reduced{};
+        std::vector<double>& inverse = w.inverse;
+        inverse[0] = 1 / w.diagonal[0];
+        for (std::size_t l = 1; l < n; ++l) {
+            const double below = -2 * slope_[l - 1], factor = below * inverse[l - 1];
+            inverse[l] = 1 / (w.diagonal[l] - factor * below);
+            for (std::size_t k = 0; k < 4; ++k) w.right[4 * l + k] -= factor * w.right[4 * (l - 1) + k];
+        }
+        // J H^-1 J^T and J H^-1 (-gradient) from the half-solved right sides.
+        for (std::size_t l = 0; l < n; ++l) {
+            const double* u = &w.right[4 * l];
+            for (std::size_t i = 0; i < 3; ++i) {
+                reduced[i] += u[1 + i] * inverse[l] * u[0];
+                for (std::size_t j = 0; j <= i; ++j) schur[3 * i + j] += u[1 + i] * inverse[l] * u[1 + j];
+            }
+        }
+        Matrix3 matrix{{schur[0], schur[3], schur[6], schur[3], schur[4], schur[7], schur[6], schur[7], schur[8]}};
+        const Vector3 dy = matrix.inverse() * Vector3{reduced[0] + unit * residual[0], reduced[1] + unit * residual[1],
+                                                      reduced[2] + unit * residual[2]};
+        if (!std::isfinite(dy[0] + dy[1] + dy[2])) {
+            if (!near) break;
+            near = false;
+            continue;
+        }
+        double next = 0, largest = 0;
+        for (std::size_t l = n; l-- > 0;) {
+            const double* u = &w.right[4 * l];
+            double d = u[0] - dy[0] * u[1] - dy[1] * u[2] - dy[2] * u[3];
+            if (l + 1 < n) d += 2 * slope_[l] * next;
+            next = d * inverse[l];
+            w.right[4 * l] = next;
+            largest = std::max(largest, std::abs(next));
+        }
+        // r changes e-fold per half unit of z, beyond which the linear model is worth nothing.
+        const double length = std::min(1.0, 1.0 / largest);
+        for (std::size_t l = 0; l < n; ++l) w.z[l] += length * w.right[4 * l];
+        for (std::size_t c = 0; c < 3; ++c) y[c] += length * dy[c];
+        near = largest < 0.3 && step < max_steps / 2;
+        if (largest < 1e-9) ++settled;
+    }
+    return {best, step};
+}
+
+}  // namespace spectex::burns2020
+
 namespace spectex::registry {
 namespace {
 
 class TanhModel final : public Model {
 public:
-    TanhModel(const MethodInfo& info, const Colorimetry& colorimetry) : Model(info, colorimetry) {
-        const auto& nm = colorimetry.bands().wavelengths_nm();
-        const double mean = (nm.back() - nm.front()) / static_cast<double>(nm.size() - 1);
-        for (std::size_t l = 0; l + 1 < nm.size(); ++l) {
-            const double h = nm[l + 1] - nm[l];
-            // Even grids have centres rounded to 1e-6 nm.
-            slope_.push_back(std::abs(h - mean) < 2e-6 ? 1.0 : mean * mean / (h * h));
-        }
-    }
+    TanhModel(const MethodInfo& info, const Colorimetry& colorimetry) : Model(info, colorimetry), solver(colorimetry) {}
 
     void reflectance(std::span<const double> rgb, std::span<double> out) const override {
-        Work work(slope_.size() + 1);
-        for (std::size_t p = 0; 3 * p + 2 < rgb.size(); ++p) solve(&rgb[3 * p], &out[p * (slope_.size() + 1)], work);
+        burns2020::Solver::Work work(solver.bands());
+        for (std::size_t p = 0; 3 * p + 2 < rgb.size(); ++p) solver.solve(&rgb[3 * p], &out[p * solver.bands()], work);
     }
     std::string to_json() const override { return model_json(*this).dump(-1, ' ', false, Json::error_handler_t::replace); }
 
-    /// @return the largest miss of A r, relative to the colour or to its complement, whichever was solved.
-    double solve(const double* rgb, double* out) const {
-        Work work(slope_.size() + 1);
-        return solve(rgb, out, work);
-    }
-
-private:
-    struct Work {
-        explicit Work(std::size_t n) : z(n), r(n), diagonal(n), inverse(n), right(4 * n), best(n) {}
-        std::vector<double> z, r, diagonal, inverse, right, best;
-    };
-
-    double solve(const double* rgb, double* out, Work& work) const {
-        const std::size_t n = slope_.size() + 1;
-        const double top = std::max({rgb[0], rgb[1], rgb[2]}), low = std::min({rgb[0], rgb[1], rgb[2]});
-        if (top - low <= 1e-14 * top || !(top > 0)) {
-            std::fill_n(out, n, (rgb[0] + rgb[1] + rgb[2]) / 3);
-            return 0;
-        }
-        const bool complement = 1 - low < top;
-        Vector3 color{rgb[0], rgb[1], rgb[2]};
-        if (complement)
-            for (double& v : color) v = 1 - v;
-        const double error = newton(color, work);
-        // 1 - r as 1 - r: r is the smaller of the two and exact to its own digits.
-        for (std::size_t l = 0; l < n; ++l) out[l] = complement ? 1 - work.best[l] : work.best[l];
-        return error;
-    }
-
-    double newton(const Vector3& color, Work& w) const {
-        const std::size_t n = slope_.size() + 1;
-        const auto& a = colorimetry().sensing_matrix();
-        const double unit = 1 / std::max({color[0], color[1], color[2]});
-        const double mean = std::clamp((color[0] + color[1] + color[2]) / 3, 1e-300, 0.5);
-        std::fill(w.z.begin(), w.z.end(), 0.5 * (std::log(mean) - std::log1p(-mean)));
-        Vector3 y{};
-        double best = HUGE_VAL;
-        bool near = false;
-        constexpr int max_steps = 200;
-        int settled = 0;
-        for (int step = 0; step < max_steps; ++step) {
-            Vector3 residual{-color[0], -color[1], -color[2]};
-            for (std::size_t l = 0; l < n; ++l) {
-                w.r[l] = 1 / (1 + std::exp(-2 * w.z[l]));
-                for (std::size_t c = 0; c < 3; ++c) residual[c] += a[c * n + l] * w.r[l];
-            }
-            const double error = unit * std::max({std::abs(residual[0]), std::abs(residual[1]), std::abs(residual[2])});
-            // The last steps change rounding only; of those the best is kept.
-            if (error < best || settled == 0) best = error, w.best = w.r;
-            if (settled > 0 && (error < 4e-16 || settled > 2)) break;
-
-            // Gradient and Hessian of the Lagrangian sum w (dz)^2 + y . unit (A r - rgb), right sides -gradient and J^T.
-            for (std::size_t l = 0; l < n; ++l) {
-                const double r = w.r[l], first = 2 * r * (1 - r), second = 2 * first * (1 - 2 * r);
-                const double s = unit * (y[0] * a[l] + y[1] * a[n + l] + y[2] * a[2 * n + l]);
-                double gradient = first * s, curvature = second * s;
-                // Far from the solution a convex model; near it Newton's own, which converges quadratically.
-                if (!near) curvature = std::max(curvature, 0.0);
-                double diagonal = curvature + 1e-7;
-                if (l > 0) {
-                    gradient += 2 * slope_[l - 1] * (w.z[l] - w.z[l - 1]);
-                    diagonal += 2 * slope_[l - 1];
-                }
-                if (l + 1 < n) {
-                    gradient -= 2 * slope_[l] * (w.z[l + 1] - w.z[l]);
-                    diagonal += 2 * slope_[l];
-                }
-                w.diagonal[l] = diagonal;
-                double* right = &w.right[4 * l];
-                right[0] = -gradient;
-                for (std::size_t c = 0; c < 3; ++c) right[1 + c] = unit * a[c * n + l] * first;
-            }
-            // Tridiagonal LDL^T with four right sides.
-            std::array<double, 9> schur{};
-            Vector3 reduced{};
-            std::vector<double>& inverse = w.inverse;
-            inverse[0] = 1 / w.diagonal[0];
-            for (std::size_t l = 1; l < n; ++l) {
-                const double below = -2 * slope_[l - 1], factor = below * inverse[l - 1];
-                inverse[l] = 1 / (w.diagonal[l] - factor * below);
-                for (std::size_t k = 0; k < 4; ++k) w.right[4 * l + k] -= factor * w.right[4 * (l - 1) + k];
-            }
-            // J H^-1 J^T and J H^-1 (-gradient) from the half-solved right sides.
-            for (std::size_t l = 0; l < n; ++l) {
-                const double* u = &w.right[4 * l];
-                for (std::size_t i = 0; i < 3; ++i) {
-                    reduced[i] += u[1 + i] * inverse[l] * u[0];
-                    for (std::size_t j = 0; j <= i; ++j) schur[3 * i + j] += u[1 + i] * inverse[l] * u[1 + j];
-                }
-            }
-            Matrix3 matrix{{schur[0], schur[3], schur[6], schur[3], schur[4], schur[7], schur[6], schur[7], schur[8]}};
-            const Vector3 dy = matrix.inverse() * Vector3{reduced[0] + unit * residual[0], reduced[1] + unit * residual[1],
-                                                          reduced[2] + unit * residual[2]};
-            if (!std::isfinite(dy[0] + dy[1] + dy[2])) {
-                if (!near) break;
-                near = false;
-                continue;
-            }
-            double next = 0, largest = 0;
-            for (std::size_t l = n; l-- > 0;) {
-                const double* u = &w.right[4 * l];
-                double d = u[0] - dy[0] * u[1] - dy[1] * u[2] - dy[2] * u[3];
-                if (l + 1 < n) d += 2 * slope_[l] * next;
-                next = d * inverse[l];
-                w.right[4 * l] = next;
-                largest = std::max(largest, std::abs(next));
-            }
-            // r changes e-fold per half unit of z, beyond which the linear model is worth nothing.
-            const double length = std::min(1.0, 1.0 / largest);
-            for (std::size_t l = 0; l < n; ++l) w.z[l] += length * w.right[4 * l];
-            for (std::size_t c = 0; c < 3; ++c) y[c] += length * dy[c];
-            near = largest < 0.3 && step < max_steps / 2;
-            if (largest < 1e-9) ++settled;
-        }
-        return best;
-    }
-
-    std::vector<double> slope_;  ///< [bands - 1], weight of each squared difference
+    const burns2020::Solver solver;
 };
 
 ModelResult make_log_slopes(const MethodInfo& info, const Colorimetry& colorimetry) {
@@ -166,10 +162,11 @@ ModelResult make_log_slopes(const MethodInfo& info, const Colorimetry& colorimet
                                           diffuser[0], diffuser[1], diffuser[2]));
     auto model = std::make_shared<TanhModel>(info, colorimetry);
     std::vector<double> r(bands);
+    burns2020::Solver::Work work(bands);
     // The object colours are a convex set, so the cube lies inside when its vertices do; an edge's middle is no worse.
     for (int v = 1; v < 7; ++v) {
         const Vector3 rgb{double(v & 1), double(v >> 1 & 1), double(v >> 2)};
-        const double error = model->solve(rgb.data(), r.data());
+        const double error = model->solver.solve(rgb.data(), r.data(), work).error;
         if (!(error <= 1e-9))
             return infeasible(fmt::format("no spectrum is found for RGB ({}, {}, {}): the best misses by {:.3g}", rgb[0], rgb[1], rgb[2], error));
     }

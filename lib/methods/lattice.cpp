@@ -12,6 +12,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <mutex>
 
 #include "methods/registry.h"
 #include "solvers/lattice.h"
@@ -138,16 +139,34 @@ Result<LatticeTable> solved(const Colorimetry& colorimetry) {
     return table.error();
 }
 
+/// The shipped table, decoded once a process: every file that names the method asks for it. Another folder of data that
+/// replaces it is told by the hash.
+Result<LatticeTable> shipped_table(const Origin& from) {
+    static std::mutex mutex;
+    static std::string decoded_hash;
+    static LatticeTable decoded;
+    {
+        const std::lock_guard lock(mutex);
+        if (decoded_hash == from.hash) return decoded;
+    }
+    const auto own = Colorimetry::make({}, BandSet());
+    if (!own) return own.error();
+    // Not under the lock: a thread that waits for the others' vertices may take up work that comes here again.
+    auto table = solvers::decode_lattice(from.shipped, shipped_lut, *own);
+    if (!table) return table;
+    const std::lock_guard lock(mutex);
+    decoded = *table;
+    decoded_hash = from.hash;
+    return table;
+}
+
 ModelResult make_from(const MethodInfo& info, const Colorimetry& colorimetry, const Origin& from) {
     Result<LatticeTable> table = Error{};
     if (from.shipped.empty()) {
         table = solved(colorimetry);
     } else {
-        const BandSet bands;
-        const auto own = Colorimetry::make({}, bands);
-        if (!own) return own.error();
-        table = solvers::decode_lattice(from.shipped, shipped_lut, *own);
-        if (table && colorimetry.bands() != bands) table = solvers::transfer_lattice(*table, bands, colorimetry);
+        table = shipped_table(from);
+        if (table && colorimetry.bands() != BandSet()) table = solvers::transfer_lattice(*table, BandSet(), colorimetry);
     }
     if (!table) return std::move(table).error();
     return std::shared_ptr<const Model>(std::make_shared<LatticeModel>(info, colorimetry, *std::move(table), from.hash));
