@@ -248,12 +248,13 @@ int stability(app::App& tool, const Request& request, const Colorimetry& c) {
 }  // namespace
 
 int main(int argc, char** argv) {
-    app::App tool({"spxbench", "grid|scaling|kernels|speed|accuracy|smoothness|stability|methods [options]",
+    app::App tool({"spxbench", "grid|scaling|kernels|memory|speed|accuracy|smoothness|stability|methods [options]",
                    "Measures methods: run time against error, relighting of measured reflectances, steps between neighbouring colours.",
                    {{"spxbench grid -o bench --corpus textures", "whole files: speed, size and error of methods and stores, with a chart"},
                     {"spxbench grid -o bench --baseline before.json", "the same as ratios to an earlier run"},
                     {"spxbench scaling --max-megapixels 256", "cost against pixels, bands and threads"},
                     {"spxbench kernels", "each kernel on one thread, as a ratio to a memory copy in the same run"},
+                    {"spxbench memory --methods jakob2019", "from what share of repeated colours on it pays to remember them"},
                     {"spxbench speed --methods mallett2019,lattice", "speed and round trip over all 16,777,216 sRGB codes"},
                     {"spxbench methods", "one table of all of this, a row a method"},
                     {"spxbench accuracy", "each set of measured reflectances left out in turn, predicted under 404 lamps"},
@@ -262,7 +263,7 @@ int main(int argc, char** argv) {
                     {"spxbench stability --colors 100000000", "every numeric path against 113 bits: worst errors, where, and whether bounds hold"}}});
     Request request;
     request.colorimetry.bands = "380:780:5";
-    tool.positional("WHAT", &request.what, 0, 1, "grid, scaling, kernels, speed, accuracy, smoothness, stability or methods; grid, where -o is given");
+    tool.positional("WHAT", &request.what, 0, 1, "grid, scaling, kernels, memory, speed, accuracy, smoothness, stability or methods; grid, where -o is given");
     tool.list("--methods", "M,...", &request.methods, "methods; all, unless given");
     tool.list("--stores", "S,...", &request.stores,
               "speed: coefficients-float, coefficients-half, spectral-float, spectral-half; all, unless given. "
@@ -270,7 +271,7 @@ int main(int argc, char** argv) {
     tool.list("--kernels", "K,...", &request.grid.kernels, "grid: widest, narrowest: the instruction set; widest, unless given");
     tool.list("--corpus", "FILE|DIR,...", &request.grid.corpus, "grid: textures, or folders of them; one made for it, unless given");
     tool.text("--baseline", "FILE", &request.grid.baseline, "grid, scaling: the JSON of an earlier run, to which ratios are printed");
-    tool.integer("--runs", "N", &request.grid.runs, 1, 1000, "grid, scaling: timed runs of each file, kernels: rounds; the median counts");
+    tool.integer("--runs", "N", &request.grid.runs, 1, 1000, "grid, scaling: timed runs of each file, kernels, memory: rounds; the median counts, of memory the fastest");
     tool.number("--max-megapixels", "N", &request.grid.max_megapixels, 1, 1024, "Mpixel", "scaling: the largest texture");
     tool.integer("--stride", "N", &request.stride, 1, 65536, "speed, stability: takes every N-th of the sRGB codes");
     tool.integer("--colors", "N", &request.colors, 0, 1ll << 40, "stability: random linear colours");
@@ -290,16 +291,17 @@ int main(int argc, char** argv) {
     app::add_colorimetry_options(tool, request.colorimetry);
     return tool.run(argc, argv, [&]() -> int {
         if (request.what.empty() && request.folder.empty())
-            return tool.usage_error("expected grid, scaling, kernels, speed, accuracy, smoothness, stability or methods, or -o DIR");
+            return tool.usage_error("expected grid, scaling, kernels, memory, speed, accuracy, smoothness, stability or methods, or -o DIR");
         const std::string what = request.what.empty() ? "grid" : request.what[0];
         const std::map<std::string, int (*)(app::App&, const Request&, const Colorimetry&)> all{
             {"grid", [](app::App& t, const Request& r, const Colorimetry&) { return bench::grid(t, r.grid); }},
             {"scaling", [](app::App& t, const Request& r, const Colorimetry&) { return bench::scaling(t, r.grid); }},
             {"kernels", [](app::App& t, const Request& r, const Colorimetry&) { return bench::kernels(t, static_cast<int>(r.grid.runs), r.folder); }},
+            {"memory", [](app::App& t, const Request& r, const Colorimetry&) { return bench::memory(t, r.methods, static_cast<int>(r.grid.runs), r.folder); }},
             {"speed", speed}, {"accuracy", accuracy}, {"smoothness", smoothness}, {"methods", summary}, {"stability", stability}};
         const auto found = all.find(what);
         if (found == all.end())
-            return tool.usage_error(fmt::format("expected grid, scaling, kernels, speed, accuracy, smoothness, stability or methods, got '{}'", app::escape(what)));
+            return tool.usage_error(fmt::format("expected grid, scaling, kernels, memory, speed, accuracy, smoothness, stability or methods, got '{}'", app::escape(what)));
         for (const auto& id : request.methods)
             if (const auto known = find_method(id); !known) return tool.report(known.error());
         const auto bands = request.colorimetry.band_set();

@@ -1,22 +1,42 @@
 // Colours that were met before: what was computed of them is kept, so that textures of few colours cost few.
 #pragma once
 
+#include <time.h>
+
 #include <algorithm>
 #include <array>
 #include <atomic>
 #include <bit>
 #include <cstdint>
+#include <limits>
 #include <memory>
 #include <span>
 #include <vector>
 
 namespace spectex::plan {
 
+/// What it costs to compute a colour, and to remember it, in nanoseconds a colour of this machine.
+struct BreakEven {
+    double compute = 0;  ///< the function itself
+    double plain = 0;    ///< handing a colour to it
+    double missed = 0;   ///< looking up one that is not remembered, and keeping its result
+    double found = 0;    ///< looking up one that is
+
+    /// Of all colours, those that must come again for remembering to take no longer than computing: with a share s of them,
+    /// s found + (1 - s)(missed + compute) = plain + compute. 1 where it never pays.
+    double share() const {
+        const double saved = compute + missed - found;
+        return saved > 0 ? std::clamp((missed - plain) / saved, 0.0, 1.0) : 1;
+    }
+};
+
 /// Names a function of a colour: memories of one owner are never those of another.
 class ColorMemoryOwner {
 public:
-    ColorMemoryOwner() : id_(next()) {}
+    /// @param share  of colours that must come again for the memory to be used; 1 and it never is.
+    explicit ColorMemoryOwner(double share = 0) : id_(next()), share_(share) {}
     std::uint64_t id() const { return id_; }
+    double share() const { return share_; }
 
 private:
     static std::uint64_t next() {
@@ -24,19 +44,23 @@ private:
         return ++last;
     }
     std::uint64_t id_;
+    double share_;
 };
 
 /// Results of a function of three floats, the last that this thread met, in a table with one place for each hash. A result
-/// depends on its colour alone, so that it is the same whether it was remembered or not. A look-up is a hash and a comparison
-/// where a spectrum is some hundred operations: it is given up for a while where next to no colour comes again.
+/// depends on its colour alone, so that it is the same whether it was remembered or not. It is given up for a while where
+/// fewer colours come again than pay for the look-ups.
 class ColorMemory {
 public:
     static constexpr std::size_t inputs = 3;
     /// What one memory may take.
     static constexpr std::size_t bytes = std::size_t{4} << 20;
     static constexpr std::size_t most_entries = std::size_t{1} << 15;
-    /// Where fewer than one colour of `worth` among `judged` came again, so many calls pass before it is tried again.
-    static constexpr std::uint64_t judged = 1 << 15, worth = 20, rest = 256;
+    /// Where of so many colours fewer came again than the owner's share, so many calls pass before it is tried again.
+    static constexpr std::uint64_t judged = 1 << 15, rest = 256;
+    /// For measurements of one way or the other.
+    enum class Use { as_it_pays, always, never };
+    static inline std::atomic<Use> use{Use::as_it_pays};
 
     /// Results of n colours.
     /// @param in       three planes; colours [begin, begin + n).
@@ -45,21 +69,26 @@ public:
     template <class Compute>
     static void apply(const ColorMemoryOwner& owner, std::span<const float* const> in, std::size_t begin, std::size_t n, std::size_t values,
                       const Compute& compute, float* out) {
+        const Use how = use.load(std::memory_order_relaxed);
+        if (how == Use::never || (how == Use::as_it_pays && owner.share() >= 1)) return pass(in, begin, n, values, compute, out);
         ColorMemory& memory = of(owner, values);
         // The function may run other tasks of this thread's while it waits for its own, and those come back here.
-        if (memory.busy_ || memory.rests()) {
-            std::vector<double> colors(inputs * n);
-            for (std::size_t p = 0; p < n; ++p)
-                for (std::size_t i = 0; i < inputs; ++i) colors[p * inputs + i] = static_cast<double>(in[i][begin + p]);
-            compute(std::span<const double>(colors), std::span<float>(out, n * values));
-            return;
-        }
+        if (memory.busy_ || (how == Use::as_it_pays && memory.rests())) return pass(in, begin, n, values, compute, out);
         memory.busy_ = true;
         // Should the function throw, the places that it left unfilled are nobody's.
         memory.owner_ = 0;
         const Release release{memory};
-        memory.look_up(in, begin, n, values, compute, out);
+        memory.look_up(in, begin, n, values, compute, out, owner.share());
         memory.owner_ = owner.id();
+    }
+
+    /// The same, and nothing remembered.
+    template <class Compute>
+    static void pass(std::span<const float* const> in, std::size_t begin, std::size_t n, std::size_t values, const Compute& compute, float* out) {
+        std::vector<double> colors(inputs * n);
+        for (std::size_t p = 0; p < n; ++p)
+            for (std::size_t i = 0; i < inputs; ++i) colors[p * inputs + i] = static_cast<double>(in[i][begin + p]);
+        compute(std::span<const double>(colors), std::span<float>(out, n * values));
     }
 
 private:
@@ -100,7 +129,8 @@ private:
     }
 
     template <class Compute>
-    void look_up(std::span<const float* const> in, std::size_t begin, std::size_t n, std::size_t values, const Compute& compute, float* out) {
+    void look_up(std::span<const float* const> in, std::size_t begin, std::size_t n, std::size_t values, const Compute& compute, float* out,
+                 double share) {
         missing_.clear();
         colors_.clear();
         repeats_.clear();
@@ -141,7 +171,7 @@ private:
         asked_ += n;
         computed_colours_ += missing_.size();
         if (asked_ < judged) return;
-        if ((asked_ - computed_colours_) * worth < asked_) resting_ = rest;
+        if (static_cast<double>(asked_ - computed_colours_) < share * static_cast<double>(asked_)) resting_ = rest;
         asked_ = computed_colours_ = 0;
     }
 
@@ -160,5 +190,56 @@ private:
     std::vector<double> colors_;
     std::vector<Place> missing_, repeats_;
 };
+
+/// Measures, in a fraction of a millisecond (or the time of 16 colours), what remembering the results of a function is worth.
+/// @param values   results per colour. @param compute  as ColorMemory::apply takes it.
+template <class Compute>
+BreakEven measure_break_even(std::size_t values, const Compute& compute) {
+    constexpr std::size_t n = 256, few = 16, sets = 4;
+    constexpr double enough = 1e5;
+    // Colours without order, none twice: steps of a Weyl sequence for each component.
+    std::vector<float> colors(ColorMemory::inputs * n * sets);
+    for (std::size_t i = 0; i < colors.size(); ++i)
+        colors[i] = static_cast<float>(static_cast<std::uint32_t>((i + 1) * 2654435769u) >> 8) * 0x1p-24f;
+    const auto set = [&](std::size_t s) {
+        const float* at = colors.data() + s * ColorMemory::inputs * n;
+        return std::array<const float*, ColorMemory::inputs>{at, at + n, at + 2 * n};
+    };
+    // Of this thread's processor time, which others on the machine do not lengthen.
+    const auto nanoseconds = [](const auto& run) {
+        const auto now = [] {
+            timespec t{};
+            ::clock_gettime(CLOCK_THREAD_CPUTIME_ID, &t);
+            return 1e9 * static_cast<double>(t.tv_sec) + static_cast<double>(t.tv_nsec);
+        };
+        const double begin = now();
+        run();
+        return now() - begin;
+    };
+    std::vector<float> results(n * values);
+    const auto nothing = [](std::span<const double>, std::span<float> out) { std::fill(out.begin(), out.end(), 0.5f); };
+    BreakEven b;
+    const ColorMemoryOwner owner;
+    const auto in = set(0);
+    ColorMemory::apply(owner, in, 0, n, values, nothing, results.data());
+    b.plain = b.missed = b.found = std::numeric_limits<double>::infinity();
+    for (std::size_t s = 1; s < sets; ++s) {
+        const auto fresh = set(s);
+        b.plain = std::min(b.plain, nanoseconds([&] { ColorMemory::pass(fresh, 0, n, values, nothing, results.data()); }) / n);
+        b.missed = std::min(b.missed, nanoseconds([&] { ColorMemory::apply(owner, fresh, 0, n, values, nothing, results.data()); }) / n);
+        b.found = std::min(b.found, nanoseconds([&] { ColorMemory::apply(owner, fresh, 0, n, values, nothing, results.data()); }) / n);
+    }
+    // The first colours of a function may load its tables.
+    double spent = nanoseconds([&] { ColorMemory::pass(in, 0, few, values, compute, results.data()); });
+    spent += few * (b.compute = nanoseconds([&] { ColorMemory::pass(in, 0, few, values, compute, results.data()); }) / few);
+    for (std::size_t s = 1; s < sets && spent < enough; ++s) {
+        const auto fresh = set(s);
+        const double took = nanoseconds([&] { ColorMemory::pass(fresh, 0, n, values, compute, results.data()); });
+        spent += took;
+        b.compute = s == 1 ? took / n : std::min(b.compute, took / n);
+    }
+    b.compute = std::max(b.compute - b.plain, 0.0);
+    return b;
+}
 
 }  // namespace spectex::plan

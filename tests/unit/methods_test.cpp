@@ -8,6 +8,7 @@
 #include <random>
 #include <set>
 
+#include "plan/color_memory.h"
 #include "spectex/compare.h"
 #include "spectex/methods.h"
 #include "spectex/plan.h"
@@ -519,6 +520,76 @@ TEST(Nodes, KeepTheirBoundOnColoursThatTheyWereNotChosenBy) {
         EXPECT_GT(worst, 0) << id;
         printf("%s: %s; CIE76 of %zu other colours at most %.3g, stated %.3g\n", id, kernel.c_str(), n, worst, stated);
     }
+}
+
+/// Colours of which some were met before, and what a memory makes of a function that counts.
+struct Remembered {
+    std::vector<float> out;
+    std::size_t computed = 0;
+};
+Remembered remember(const plan::ColorMemoryOwner& owner, const std::vector<float>& grey) {
+    Remembered result;
+    result.out.resize(2 * grey.size());
+    const std::array<const float*, 3> in{grey.data(), grey.data(), grey.data()};
+    const auto compute = [&](std::span<const double> colors, std::span<float> results) {
+        result.computed += colors.size() / 3;
+        for (std::size_t p = 0; p < colors.size() / 3; ++p)
+            for (std::size_t j = 0; j < 2; ++j) results[2 * p + j] = static_cast<float>(std::sqrt(colors[3 * p]) + static_cast<double>(j));
+    };
+    constexpr std::size_t block = 1024;
+    for (std::size_t at = 0; at < grey.size(); at += block)
+        plan::ColorMemory::apply(owner, in, at, std::min(block, grey.size() - at), 2, compute, result.out.data() + 2 * at);
+    return result;
+}
+
+TEST(ColorMemory, IsUsedWhereColoursComeAgainOftenEnough) {
+    constexpr std::size_t n = std::size_t{1} << 18;
+    std::mt19937 random(3);
+    for (const double share : {0.1, 0.6}) {
+        std::vector<float> grey;
+        for (std::size_t p = 0; p < n; ++p) {
+            const bool again = p > 0 && static_cast<double>(random()) < share * 4294967296.0;
+            grey.push_back(again ? grey[p - 1 - random() % std::min<std::size_t>(p, 512)] : static_cast<float>(random() >> 8) * 0x1p-24f);
+        }
+        const auto never = remember(plan::ColorMemoryOwner(1), grey);
+        const auto always = remember(plan::ColorMemoryOwner(0), grey);
+        const auto pays = remember(plan::ColorMemoryOwner(0.3), grey);
+        EXPECT_EQ(never.computed, n);
+        EXPECT_NEAR(static_cast<double>(always.computed), (1 - share) * n, 0.05 * n);  // colours share places of the table, some of 512
+        if (share < 0.3)
+            EXPECT_GT(pays.computed, always.computed + n / 20);  // looked up for 32768 of 262144, then let be
+        else
+            EXPECT_EQ(pays.computed, always.computed);
+        EXPECT_EQ(never.out, always.out);
+        EXPECT_EQ(never.out, pays.out);
+    }
+}
+
+TEST(ColorMemory, BreaksEvenWhereBothWaysCostTheSame) {
+    for (const plan::BreakEven& b : {plan::BreakEven{100, 2, 12, 7}, plan::BreakEven{5000, 3, 40, 20}, plan::BreakEven{30, 5, 15, 10}}) {
+        const double s = b.share();
+        EXPECT_GT(s, 0);
+        EXPECT_LT(s, 1);
+        EXPECT_NEAR(s * b.found + (1 - s) * (b.missed + b.compute), b.plain + b.compute, 1e-9 * b.compute);
+    }
+    EXPECT_EQ((plan::BreakEven{1, 2, 12, 20}.share()), 1);
+    EXPECT_EQ((plan::BreakEven{1, 2, 30, 20}.share()), 1);
+}
+
+TEST(ColorMemory, MeasuresWhatAFunctionCosts) {
+    const auto of = [](int work) {
+        return plan::measure_break_even(3, [work](std::span<const double> colors, std::span<float> results) {
+            for (std::size_t i = 0; i < results.size(); ++i) {
+                double v = colors[i];
+                for (int k = 0; k < work; ++k) v = std::sin(v);
+                results[i] = static_cast<float>(v);
+            }
+        });
+    };
+    const auto dear = of(2000), cheap = of(0);
+    EXPECT_GT(dear.compute, 100 * cheap.compute);
+    EXPECT_LT(dear.share(), 0.05);  // some ten microseconds against some ten nanoseconds, whatever the build
+    EXPECT_GT(cheap.share(), 0.5);
 }
 
 }  // namespace spectex

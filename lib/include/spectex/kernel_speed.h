@@ -1,6 +1,7 @@
 // How near the kernels come to the speed of memory.
 #pragma once
 
+#include <span>
 #include <string>
 #include <vector>
 
@@ -22,5 +23,21 @@ struct KernelSpeed {
 /// @param rounds  of all kernels, 1 to 1000.
 /// @error usage for other rounds; input, where a kernel differs from its reference by more than it states.
 SPECTEX_API Result<std::vector<KernelSpeed>> measure_kernels(int rounds);
+
+/// What remembering the results of colours is worth to a method that is not linear in pieces.
+struct MemorySpeed {
+    std::string method, work;  ///< work: what is computed of a colour
+    struct Point {
+        double share = 0;  ///< of colours that were met a moment before
+        double computed_ns = 0, remembered_ns = 0;  ///< a colour, of one thread's processor time
+    };
+    std::vector<Point> points;
+    double break_even = 1;  ///< share from which remembering wins, between the points; 1 where it wins at none
+    std::string decision;   ///< what a plan of this method decided by its own measurement
+};
+/// Times colours in which some are repeated with every one computed, and with all remembered.
+/// @param methods  ids; those that are linear in pieces are passed over. @param rounds  of which the fastest counts.
+/// @error as make_model; usage for other rounds.
+SPECTEX_API Result<std::vector<MemorySpeed>> measure_color_memory(std::span<const std::string> methods, int rounds);
 
 }  // namespace spectex
