@@ -89,6 +89,9 @@ void add_output_options(App& app, OutputOptions& options, OutputTypes types) {
     app.group("Output");
     add_type(app, "--half", PixelType::half, options, "write 16-bit floating-point samples");
     add_type(app, "--float", PixelType::float32, options, "write 32-bit floating-point samples");
+    if (types == OutputTypes::stored)
+        add_type(app, "--uint8", PixelType::uint8, options,
+                 "write coefficients as 8-bit codes into a PNG, by the curve of sRGB: for methods whose coefficients are linear RGB or within [0,1]");
     if (types == OutputTypes::any) {
         add_type(app, "--uint8", PixelType::uint8, options, "write 8-bit integer samples");
         add_type(app, "--uint16", PixelType::uint16, options, "write 16-bit integer samples");

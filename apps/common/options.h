@@ -43,7 +43,7 @@ struct OutputOptions {
 };
 enum class OutputTypes {
     any,         ///< --half --float --uint8 --uint16 and --output-colorspace
-    float_only,  ///< --half --float, for spectra and coefficients
+    stored,      ///< --half --float --uint8, for spectra and coefficients
 };
 void add_output_options(App& app, OutputOptions& options, OutputTypes types = OutputTypes::any);
 

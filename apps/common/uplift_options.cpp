@@ -25,7 +25,7 @@ void add_uplift_options(App& app, UpliftOptionSet& options) {
                  return {};
              }});
     add_colorimetry_options(app, options.colorimetry);
-    add_output_options(app, options.output, OutputTypes::float_only);
+    add_output_options(app, options.output, OutputTypes::stored);
 }
 
 Result<std::optional<StoreChoice>> UpliftOptionSet::store_choice() const {

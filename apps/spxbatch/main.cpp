@@ -228,6 +228,7 @@ int main(int argc, char** argv) {
         }
         const auto settings = set.settings(app);
         if (!settings) return app.report(settings.error());
+        if (settings->type == PixelType::uint8) return app.usage_error("--uint8 does not apply to folders, whose outputs are EXR: expected --half or --float");
         options.settings = *settings;
         const auto chosen = set.layout(app, options.layout);
         if (!chosen) return app.report(chosen.error());

@@ -263,7 +263,7 @@ Result<Facts> describe_spectral(const std::string& path, const FactsRequest& req
     Facts facts;
     Writer writer{facts};
     writer.add("kind", "kind", coefficients ? "coefficients" : "spectral");
-    writer.add("format", "format", "openexr");
+    writer.add("format", "format", header.type == PixelType::uint8 ? "png" : "openexr");
     add_file_size(writer, path);
     add_geometry(writer, header.geometry);
     writer.add("type", "type", std::string(pixel_type_name(header.type)));
@@ -314,7 +314,11 @@ Result<Facts> describe_spectral(const std::string& path, const FactsRequest& req
     for (std::size_t i = 0; i < count; ++i) planes.push_back(samples.data() + i * width);
     if (auto read = reader.read_rows(static_cast<int>(y), 1, planes, {}); !read) return read.error();
     std::vector<double> values;
-    for (const float* plane : planes) values.push_back(static_cast<double>(plane[x]));
+    const bool codes = header.type == PixelType::uint8;
+    for (const float* plane : planes) {
+        const auto value = static_cast<double>(plane[x]);
+        values.push_back(codes ? srgb_decode(std::round(value * 255) / 255) : value);
+    }
 
     for (std::size_t i = 0; i < count && request.strict; ++i) {
         const std::string name = coefficients ? header.coefficients[i] : figure(header.wavelengths_nm[i]) + " nm";

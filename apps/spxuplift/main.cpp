@@ -43,7 +43,7 @@ int main(int argc, char** argv) {
         const auto inputs = app.inputs(arguments);
         if (!inputs) return app.report(inputs.error());
         if (const auto s = selection.check(); !s) return app.report(s.error());
-        const auto jobs = plan_outputs(*inputs, output, ".exr", {}, selection.levels);
+        const auto jobs = plan_outputs(*inputs, output, settings->type == PixelType::uint8 ? ".png" : ".exr", {}, selection.levels);
         if (!jobs) return app.report(jobs.error());
         UpliftOptions options;
         options.settings = *settings;

@@ -119,6 +119,7 @@ struct Stored {
         for (std::size_t i = 0; i < plan.channels(); ++i) planes.push_back(samples.data() + i * n * pixel_bytes(plan.type()));
     }
     double sample(const StorePlan& plan, std::size_t channel, std::size_t i) const {
+        if (plan.type() == PixelType::uint8) return srgb_decode(std::to_integer<int>(planes[channel][i]) / 255.0);
         if (plan.type() == PixelType::float32) return static_cast<double>(reinterpret_cast<const float*>(planes[channel])[i]);
         float value = 0;
         kernels::half_to_float(reinterpret_cast<const std::uint16_t*>(planes[channel]) + i, 1, 1, &value);
@@ -273,7 +274,7 @@ Result<TradeoffRow> measure_tradeoff(const TradeoffOptions& options) {
         uplifting.job = job;
         uplifting.settings = settings;
         uplifting.compression = options.compression;
-        const ScratchFile file{fmt::format("{}/.spxbench-{}.exr", options.scratch, ::getpid())};
+        const ScratchFile file{fmt::format("{}/.spxbench-{}{}", options.scratch, ::getpid(), settings.type == PixelType::uint8 ? ".png" : ".exr")};
         const auto colours = colours_of(path, *c, job, settings.gamut, computed_colours);
         if (!colours) return colours.error();
         auto type = settings.type;

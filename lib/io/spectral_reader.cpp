@@ -237,6 +237,56 @@ private:
     Layout layout_;
 };
 
+/// Whether a picture is a coefficient texture in eight bits, as this library writes them.
+bool holds_codes(const ImageHeader& header) {
+    const auto encoding = header.metadata.find("spectex:encoding");
+    const auto* curve = encoding == header.metadata.end() ? nullptr : std::get_if<std::string>(&encoding->second);
+    return header.type == PixelType::uint8 && header.has_color() && header.metadata.contains("spectex:model") && curve && *curve == "srgb";
+}
+
+/// Codes of coefficients as fractions of 255, by the curve of sRGB.
+class CodeReader final : public SpectralReader {
+public:
+    explicit CodeReader(std::unique_ptr<ImageReader> reader) : reader_(std::move(reader)) {
+        const ImageHeader& image = reader_->header();
+        header_.path = image.path;
+        header_.kind = FileKind::coefficients;
+        header_.geometry = image.geometry;
+        header_.type = image.type;
+        header_.coefficients = {"R", "G", "B"};
+        header_.has_rgb = true;
+        for (const int other : image.others) {
+            header_.others.push_back(other == image.alpha ? "A" : image.channels[static_cast<std::size_t>(other)]);
+            header_.other_types.push_back(image.type);
+        }
+        header_.attributes = image.metadata;
+    }
+    const SpectralHeader& header() const override { return header_; }
+    int preferred_rows() const override { return reader_->preferred_rows(); }
+    Status read_rows(int y, int rows, std::span<float* const> planes, std::span<std::byte* const> others) override {
+        const ImageHeader& image = reader_->header();
+        if (planes.size() != 3 || (!others.empty() && others.size() != image.others.size()))
+            return input_error(header_.path, fmt::format("has 3 planes and {} other channels, not {} and {}", image.others.size(), planes.size(), others.size()));
+        const std::size_t stride = image.channels.size(), pixels = static_cast<std::size_t>(image.geometry.width) * static_cast<std::size_t>(std::max(rows, 0));
+        samples_.resize(pixels * stride);
+        if (auto s = reader_->read_rows(y, rows, samples_.data()); !s) return s;
+        for (std::size_t i = 0; i < 3; ++i) {
+            const std::byte* at = samples_.data() + image.color[i];
+            for (std::size_t p = 0; planes[i] && p < pixels; ++p) planes[i][p] = static_cast<float>(std::to_integer<int>(at[p * stride])) / 255.0f;
+        }
+        for (std::size_t i = 0; i < others.size(); ++i) {
+            const std::byte* at = samples_.data() + image.others[i];
+            for (std::size_t p = 0; others[i] && p < pixels; ++p) others[i][p] = at[p * stride];
+        }
+        return {};
+    }
+
+private:
+    std::unique_ptr<ImageReader> reader_;
+    SpectralHeader header_;
+    std::vector<std::byte> samples_;
+};
+
 }  // namespace
 
 Result<std::unique_ptr<SpectralReader>> SpectralReader::open(const std::string& path, int threads, const Limits& limits) {
@@ -244,7 +294,12 @@ Result<std::unique_ptr<SpectralReader>> SpectralReader::open(const std::string& 
     return io::guarded(ErrorKind::input, path, [&]() -> Out {
         auto exr = is_exr(path);
         if (!exr) return exr.error();
-        if (!*exr) return input_error(path, "is not an OpenEXR file");
+        if (!*exr) {
+            auto image = ImageReader::open(path, threads, limits);
+            if (!image) return image.error();
+            if (!holds_codes((*image)->header())) return input_error(path, "is not an OpenEXR file, nor 8-bit coefficients with their model");
+            return std::unique_ptr<SpectralReader>(std::make_unique<CodeReader>(*std::move(image)));
+        }
         auto input = ExrInput::open(path, threads);
         if (!input) return input.error();
         auto layout = read_layout(path, **input, limits);
@@ -269,7 +324,7 @@ Result<FileKind> probe(const std::string& path) {
         }
         auto image = ImageReader::open(path, 1);
         if (!image) return image.error();
-        return FileKind::image;
+        return holds_codes((*image)->header()) ? FileKind::coefficients : FileKind::image;
     });
 }
 

@@ -9,6 +9,7 @@
 
 #include "io/internal.h"
 #include "kernels/convert.h"
+#include "plan/coefficient_codes.h"
 
 namespace spectex::pipeline {
 namespace {
@@ -196,9 +197,10 @@ public:
         const auto& h = reader_->header();
         for (std::size_t i = 0; i < h.others.size() && !color_only; ++i) others_.push_back({h.others[i], h.other_types[i]});
         for (const bool plane : needed_) planes_read_ += plane ? 1 : 0;
+        if (h.type == PixelType::uint8) codes_ = plan::code_table();
         explanation_.push_back(
             {"input", h.kind == FileKind::coefficients
-                          ? fmt::format("coefficient EXR, {} x {}, {} channels of {}", h.geometry.width, h.geometry.height,
+                          ? fmt::format("coefficient {}, {} x {}, {} channels of {}", codes_ ? "PNG" : "EXR", h.geometry.width, h.geometry.height,
                                         h.coefficients.size(), pixel_type_name(h.type))
                           : fmt::format("spectral EXR, {} x {}, {} {} bands of {} from {} to {} nm", h.geometry.width,
                                         h.geometry.height, h.wavelengths_nm.size(), h.emissive ? "emissive" : "reflective",
@@ -246,6 +248,8 @@ public:
             others[i] = raw.others[i].data();
         }
         if (auto s = reader_->read_rows(y, rows, planes, others); !s) return s;
+        for (float* plane : planes)
+            for (std::size_t p = 0; codes_ && plane && p < pixels; ++p) plane[p] = codes_[std::lround(plane[p] * 255)];
         return y + rows == geometry().height ? mark_.check() : Status();
     }
     std::size_t planes() const override { return needed_.size(); }
@@ -265,6 +269,7 @@ private:
     std::vector<bool> needed_;
     Attributes metadata_;
     std::size_t planes_read_ = 0;
+    const float* codes_ = nullptr;  ///< what 8-bit coefficients stand for
     std::vector<OtherChannel> others_;
     Explanation explanation_;
 };

@@ -101,6 +101,42 @@ Result<std::vector<float>> sample_colors(StripSource& source, const Colorimetry&
     return colors;
 }
 
+/// Planes of codes into an ordinary 8-bit picture: R, G, B and perhaps alpha.
+class CodeWriter final : public ExrWriter {
+public:
+    static Result<std::unique_ptr<ExrWriter>> create(const std::string& path, const Geometry& geometry, const ExrPart& part, const WriteOptions& options) {
+        std::vector<std::string> names;
+        for (const auto& channel : part.channels) names.push_back(channel.name);
+        if (names.size() > 3 && (names.size() > 4 || names[3] != "A"))
+            return Error{ErrorKind::output, fmt::format("{}: 8-bit coefficients leave room for alpha alone beside them, not for {}: --channels leaves them out", path,
+                                                        fmt::join(names.begin() + 3, names.end(), ", "))};
+        Attributes metadata = part.attributes;
+        // Known when the header is long written.
+        metadata.erase("spectex:roundtrip");
+        // Codes are kept as they are, whatever alpha says of them.
+        auto writer = ImageWriter::create(path, geometry, names, false, metadata, options);
+        if (!writer) return std::move(writer).error();
+        if ((*writer)->type() != PixelType::uint8) return Error{ErrorKind::output, fmt::format("{}: holds no 8-bit samples", path)};
+        return std::unique_ptr<ExrWriter>(std::make_unique<CodeWriter>(*std::move(writer), geometry.width, names.size()));
+    }
+    CodeWriter(std::unique_ptr<ImageWriter> writer, int width, std::size_t channels) : writer_(std::move(writer)), width_(static_cast<std::size_t>(width)), channels_(channels) {}
+
+    Status write_rows(int y, int rows, std::span<const std::byte* const> planes) override {
+        const std::size_t pixels = width_ * static_cast<std::size_t>(rows);
+        samples_.resize(pixels * channels_);
+        for (std::size_t c = 0; c < channels_; ++c)
+            for (std::size_t p = 0; p < pixels; ++p) samples_[p * channels_ + c] = planes[c][p];
+        return writer_->write_rows(y, rows, samples_.data());
+    }
+    Status replace_text(const std::string&, const std::string&) override { return {}; }
+    Status commit() override { return writer_->commit(); }
+
+private:
+    std::unique_ptr<ImageWriter> writer_;
+    std::size_t width_, channels_;
+    std::vector<std::byte> samples_;
+};
+
 struct Layouts {
     std::vector<ExrPart> parts;
     std::vector<std::size_t> order;  ///< for each plane handed to the writer, its index in the strip's planes
@@ -122,6 +158,8 @@ Result<UpliftSetup> UpliftSetup::make(const std::string& input, const UpliftSett
     auto source = open_image_source(input, colorimetry.rgb_space(), job);
     if (!source) return std::move(source).error();
     const PixelType type = settings.type.value_or(default_stored_type((*source)->type()));
+    if (type == PixelType::uint8 && settings.max_error)
+        return Error{ErrorKind::usage, "a largest error rounds mantissas, which 8-bit codes do not have: expected half or float"};
     std::optional<BandChoice> choice;
     const double bound = settings.max_error.value_or(default_band_bound);
     if (settings.choose_bands && settings.store == Store::spectral) {
@@ -229,7 +267,9 @@ Status UpliftSetup::convert(const RawStrip& raw, int y, std::size_t begin, std::
             failure->pixel = greys.first_of(failure->pixel);
         else
             for (std::size_t i = 0; i < planes.size(); ++i) {
-                if (size == sizeof(std::uint16_t))
+                if (size == 1)
+                    greys.spread(distinct[i], n, planes[i]);
+                else if (size == sizeof(std::uint16_t))
                     greys.spread(reinterpret_cast<const std::uint16_t*>(distinct[i]), n, reinterpret_cast<std::uint16_t*>(planes[i]));
                 else
                     greys.spread(reinterpret_cast<const float*>(distinct[i]), n, reinterpret_cast<float*>(planes[i]));
@@ -424,13 +464,20 @@ Layouts lay_out(const UpliftSetup& setup, const UpliftOptions& options, bool pre
     const auto& others = setup.source->others();
     for (std::size_t i = 0; i < others.size(); ++i) {
         // One pixel type for all where no value can change by it; a float AOV keeps its floats.
-        const bool wide = others[i].type == PixelType::float32 || (others[i].type == PixelType::uint16 && others[i].name != "A");
+        const bool wide = type != PixelType::uint8 && (others[i].type == PixelType::float32 || (others[i].type == PixelType::uint16 && others[i].name != "A"));
         color.channels.push_back({others[i].name, wide ? PixelType::float32 : type});
         color_planes.push_back(first_other + i);
     }
 
     Layouts result;
-    if (options.layout == Layout::single || color.channels.empty()) {
+    if (type == PixelType::uint8) {
+        data.attributes = common;
+        data.attributes["spectex:encoding"] = std::string("srgb");
+        data.channels.insert(data.channels.end(), color.channels.begin(), color.channels.end());
+        result.order = data_planes;
+        result.order.insert(result.order.end(), color_planes.begin(), color_planes.end());
+        result.parts = {std::move(data)};
+    } else if (options.layout == Layout::single || color.channels.empty()) {
         ExrPart part;
         part.name = options.settings.store == Store::spectral ? "spectrum" : "coefficients";
         part.attributes = common;
@@ -517,7 +564,12 @@ namespace {
 
 /// @param missed  the number of bands that were chosen, where some pixel is off by more than the bound with them; else 0.
 Result<UpliftReport> uplift_once(const std::string& input, const std::string& output, const UpliftOptions& options, std::size_t& missed) {
-    if (!has_suffix(output, ".exr"))
+    const bool codes = options.settings.type == PixelType::uint8;
+    if (codes && !has_suffix(output, ".png"))
+        return Error{ErrorKind::usage, fmt::format("{}: 8-bit coefficients are stored as PNG, which keeps their model: expected a name that ends in .png", output)};
+    if (codes && options.layout == Layout::multipart)
+        return Error{ErrorKind::usage, fmt::format("{}: 8-bit coefficients have one part: expected the single layout", output)};
+    if (!codes && !has_suffix(output, ".exr"))
         return Error{ErrorKind::usage, fmt::format("{}: spectra and coefficients are stored as OpenEXR: expected a name that ends "
                                                    "in .exr",
                                                    output)};
@@ -548,7 +600,8 @@ Result<UpliftReport> uplift_once(const std::string& input, const std::string& ou
         geometry.width = geometry.height = geometry.full_width = geometry.full_height = 1;
     }
     const PixelType type = setup->plan.type();
-    auto writer = ExrWriter::create(output, geometry, layout.parts, {type, options.compression, options.job.threads});
+    const WriteOptions write{type, options.compression, options.job.threads};
+    auto writer = codes ? CodeWriter::create(output, geometry, layout.parts[0], write) : ExrWriter::create(output, geometry, layout.parts, write);
     if (!writer) return std::move(writer).error();
 
     const std::size_t stored = setup->plan.channels(), first_other = stored + (preview ? 3u : 0u);

@@ -9,6 +9,7 @@
 #include "kernels/lattice.h"
 #include "kernels/linear.h"
 #include "kernels/spectra.h"
+#include "plan/coefficient_codes.h"
 #include "plan/color_memory.h"
 #include "plan/quadrature.h"
 #include "spectex/io.h"
@@ -19,12 +20,72 @@ namespace {
 
 using plan::ColorMemory, plan::ColorMemoryOwner;
 
-const std::string repeated_colors = fmt::format("colours met before: each thread keeps what came of the last {} or fewer",
-                                                plan::ColorMemory::most_entries);
-
 /// Pixels that a kernel handles at a time where it needs scratch memory: the scratch stays in the second-level cache.
 constexpr std::size_t block_pixels = 1024;
 constexpr double largest_half = 65504;
+
+/// When remembering colours pays, as it was measured a moment ago.
+PlanLine explain_memory(const plan::BreakEven& b, std::string_view of = "colours") {
+    if (b.share() >= 1)
+        return {"repeats", fmt::format("{} met before are computed again, which takes {:.0f} ns: remembering costs {:.0f}", of, b.compute, b.missed)};
+    return {"skipped", fmt::format("{} met before: each thread keeps what came of the last {} or fewer, wherever {:.2g}% or more come again; fewer do "
+                                   "not pay (measured here: {:.0f} ns to compute one, {:.0f} to keep it, {:.0f} to find it)",
+                                   of, ColorMemory::most_entries, 100 * b.share(), b.compute, b.missed, b.found)};
+}
+
+/// A function that memories can call: light under each illuminant from colours or coefficients, by spectra that are formed.
+template <class Reflectance>
+class SpectraIntegral {
+public:
+    /// @param weights  [bands][values]. @param inputs  per colour. @param reflectance  (numbers, spectra).
+    SpectraIntegral(const std::vector<double>& weights, std::size_t bands, std::size_t values, std::size_t inputs, const Reflectance& reflectance)
+        : weights_(weights), bands_(bands), values_(values), inputs_(inputs), reflectance_(reflectance), sums_(values) {}
+    void operator()(std::span<const double> colors, std::span<float> results) const {
+        const std::size_t count = colors.size() / inputs_;
+        spectra_.resize(std::max(spectra_.size(), bands_ * count));
+        reflectance_(colors, std::span<double>(spectra_.data(), bands_ * count));
+        for (std::size_t p = 0; p < count; ++p) {
+            // All values at once, so that the sums do not wait for each other. In order of the bands; what they lose, 1e-14 of the
+            // light, vanishes in the floats.
+            std::fill(sums_.begin(), sums_.end(), 0.0);
+            for (std::size_t b = 0; b < bands_; ++b) {
+                const double r = spectra_[p * bands_ + b];
+                const double* w = &weights_[b * values_];
+                for (std::size_t j = 0; j < values_; ++j) sums_[j] += w[j] * r;
+            }
+            for (std::size_t j = 0; j < values_; ++j) results[p * values_ + j] = static_cast<float>(sums_[j]);
+        }
+    }
+
+private:
+    const std::vector<double>& weights_;
+    std::size_t bands_, values_, inputs_;
+    const Reflectance& reflectance_;
+    mutable std::vector<double> spectra_, sums_;
+};
+
+/// What a file keeps of colours, as floats: a model's coefficients, or its bands.
+class StoredNumbers {
+public:
+    StoredNumbers(const Model& model, Store store, PixelType type) : model_(model), store_(store), type_(type) {}
+    void operator()(std::span<const double> colors, std::span<float> results) const {
+        computed_.resize(std::max(computed_.size(), results.size()));
+        const std::span<double> computed(computed_.data(), results.size());
+        if (store_ == Store::spectral) {
+            model_.reflectance(colors, computed);
+        } else {
+            model_.coefficients(colors, computed);
+            if (type_ == PixelType::half) model_.limit_coefficients(computed, largest_half);
+        }
+        for (std::size_t i = 0; i < results.size(); ++i) results[i] = static_cast<float>(computed[i]);
+    }
+
+private:
+    const Model& model_;
+    Store store_;
+    PixelType type_;
+    mutable std::vector<double> computed_;
+};
 
 /// [3 images][bands]: linear RGB of the output space from a reflectance in the bands, under each illuminant.
 struct OutputWeights {
@@ -168,9 +229,20 @@ RelightPlan RelightPlan::of_model(std::shared_ptr<const Model> model, std::vecto
         for (std::size_t k = 0; k < plan.formed_.size(); ++k)
             for (std::size_t j = 0; j < values; ++j) plan.formed_weights_.push_back(weights[j * plan.formed_.size() + k]);
         plan.weights_ = std::move(rows);
-        plan.explanation_.push_back({"skipped", repeated_colors});
+        const auto measure = [&](std::string_view of, const auto& reflectance) {
+            const auto b = plan::measure_break_even(
+                values, SpectraIntegral(plan.formed_weights_, plan.formed_.size(), values, ColorMemory::inputs, reflectance));
+            plan.explanation_.push_back(explain_memory(b, of));
+            return std::make_shared<ColorMemoryOwner>(b.share());
+        };
+        plan.of_colors_ = measure("colours", [&](std::span<const double> colors, std::span<double> spectra) {
+            model->reflectance_in(plan.formed_, colors, spectra);
+        });
         plan.of_coefficients_ = std::make_shared<ColorMemoryOwner>();
-        plan.of_colors_ = std::make_shared<ColorMemoryOwner>();
+        if (plan.needed_.size() == ColorMemory::inputs)
+            plan.of_coefficients_ = measure("coefficients", [&](std::span<const double> coefficients, std::span<double> spectra) {
+                model->reflectance_of_coefficients_in(plan.formed_, coefficients, spectra);
+            });
         plan.model_ = std::move(model);
     }
     return plan;
@@ -285,23 +357,9 @@ template <class Reflectance>
 void RelightPlan::integrate_spectra(const ColorMemoryOwner& memory, std::span<const float* const> in, std::size_t n,
                                     std::span<float* const> out, const Reflectance& reflectance) const {
     const std::size_t bands = formed_.size(), c = in.size(), values = 3 * images_;
-    std::vector<double> spectra(bands * block_pixels), numbers, sums(values);
+    std::vector<double> numbers;
     std::vector<float> lit(values * block_pixels);
-    const auto compute = [&](std::span<const double> colors, std::span<float> results) {
-        const std::size_t count = colors.size() / c;
-        reflectance(colors, {spectra.data(), bands * count});
-        for (std::size_t p = 0; p < count; ++p) {
-            // All values at once, so that the sums do not wait for each other. In order of the bands; what they lose, 1e-14 of the
-            // light, vanishes in the floats.
-            std::fill(sums.begin(), sums.end(), 0.0);
-            for (std::size_t b = 0; b < bands; ++b) {
-                const double r = spectra[p * bands + b];
-                const double* w = &formed_weights_[b * values];
-                for (std::size_t j = 0; j < values; ++j) sums[j] += w[j] * r;
-            }
-            for (std::size_t j = 0; j < values; ++j) results[p * values + j] = static_cast<float>(sums[j]);
-        }
-    };
+    const SpectraIntegral compute(formed_weights_, bands, values, c, reflectance);
     for (std::size_t begin = 0; begin < n; begin += block_pixels) {
         const std::size_t count = std::min(block_pixels, n - begin);
         if (c == ColorMemory::inputs) {
@@ -319,19 +377,30 @@ void RelightPlan::integrate_spectra(const ColorMemoryOwner& memory, std::span<co
 
 Result<StorePlan> StorePlan::make(std::shared_ptr<const Model> model, Store store, PixelType type) {
     const auto& colorimetry = model->colorimetry();
-    if (type != PixelType::half && type != PixelType::float32)
+    if (type == PixelType::uint8 && (store != Store::coefficients || !plan::fits_codes(*model)))
+        return Error{ErrorKind::usage, store == Store::coefficients
+                                           ? fmt::format("8 bits hold coefficients within [0,1], which those of {} are not: expected half or float, or a "
+                                                         "method linear in pieces, or peters2019:fourier-srgb",
+                                                         model->info().id)
+                                           : std::string("8 bits hold coefficients, not spectra: expected half or float")};
+    if (type == PixelType::uint16)
         return Error{ErrorKind::usage, fmt::format("spectra and coefficients are stored as half or float, not {}",
                                                    pixel_type_name(type))};
     StorePlan plan(RelightPlan::as_stored(model, store == Store::spectral));
     plan.model_ = model;
     plan.store_ = store;
     plan.type_ = type;
-    plan.memory_ = std::make_shared<ColorMemoryOwner>();
     const auto bands = colorimetry.bands().size();
     if (store == Store::coefficients) {
         plan.names_ = model->coefficient_names();
-        plan.explanation_.push_back({"store", fmt::format("{} coefficients per texel as {}, the model in the header",
-                                                          plan.names_.size(), pixel_type_name(type))});
+        plan.explanation_.push_back({"store", fmt::format("{} coefficients per texel as {}{}, the model in the header",
+                                                          plan.names_.size(), pixel_type_name(type),
+                                                          type != PixelType::uint8 ? ""
+                                                          : model->info().pieces != Pieces::nonlinear
+                                                              ? " by the curve of sRGB, an 8-bit sRGB texture keeping its codes"
+                                                              : " by the curve of sRGB")});
+        if (type == PixelType::uint8)
+            plan.explanation_.push_back({"skipped", fmt::format("half of the bytes of a texel: {} in place of {}", plan.names_.size(), 2 * plan.names_.size())});
         plan.explanation_.push_back({"skipped", fmt::format("writing {} bands: a reader forms those it needs", bands)});
     } else {
         for (const double nm : colorimetry.bands().wavelengths_nm()) plan.names_.push_back(spectral_channel_name("T", nm));
@@ -344,7 +413,11 @@ Result<StorePlan> StorePlan::make(std::shared_ptr<const Model> model, Store stor
         plan.explanation_.push_back(
             {"kernel", model->basis() ? "linear combination of three spectra" : "spectra evaluated per pixel"});
     }
-    if (model->info().pieces == Pieces::nonlinear) plan.explanation_.push_back({"skipped", repeated_colors});
+    if (model->info().pieces == Pieces::nonlinear) {
+        const auto b = plan::measure_break_even(plan.names_.size(), StoredNumbers(*model, store, type));
+        plan.memory_ = std::make_shared<ColorMemoryOwner>(b.share());
+        plan.explanation_.push_back(explain_memory(b));
+    }
     return plan;
 }
 
@@ -352,6 +425,8 @@ void StorePlan::store(std::array<const float*, 3> rgb, std::size_t n, std::span<
     const auto emit = [&](const float* from, std::size_t count, std::size_t channel, std::size_t at) {
         if (type_ == PixelType::half)
             kernels::float_to_half(from, count, reinterpret_cast<std::uint16_t*>(planes[channel]) + at, 1);
+        else if (type_ == PixelType::uint8)
+            plan::encode_codes(from, count, reinterpret_cast<std::uint8_t*>(planes[channel]) + at);
         else
             std::copy_n(from, count, reinterpret_cast<float*>(planes[channel]) + at);
     };
@@ -361,13 +436,8 @@ void StorePlan::store(std::array<const float*, 3> rgb, std::size_t n, std::span<
         return;
     }
     const std::size_t values = planes.size();
-    std::vector<double> computed(values * block_pixels);
     std::vector<float> coefficients(values * block_pixels), plane(block_pixels);
-    const auto compute = [&](std::span<const double> colors, std::span<float> results) {
-        model_->coefficients(colors, {computed.data(), results.size()});
-        if (type_ == PixelType::half) model_->limit_coefficients({computed.data(), results.size()}, largest_half);
-        for (std::size_t i = 0; i < results.size(); ++i) results[i] = static_cast<float>(computed[i]);
-    };
+    const StoredNumbers compute(*model_, store_, type_);
     for (std::size_t begin = 0; begin < n; begin += block_pixels) {
         const std::size_t count = std::min(block_pixels, n - begin);
         ColorMemory::apply(*memory_, rgb, begin, count, values, compute, coefficients.data());
@@ -386,15 +456,12 @@ void StorePlan::store_bands(std::array<const float*, 3> rgb, std::size_t n, std:
     std::vector<double> colors, computed;
     std::vector<float> spectra;
     const bool nonlinear = model_->info().pieces == Pieces::nonlinear;
-    if (!model_->basis()) {
+    if (!model_->basis() && !nonlinear) {
         colors.resize(3 * block_pixels);
         computed.resize(bands * block_pixels);
     }
     if (nonlinear) spectra.resize(bands * block_pixels);
-    const auto compute = [&](std::span<const double> some, std::span<float> results) {
-        model_->reflectance(some, {computed.data(), results.size()});
-        for (std::size_t i = 0; i < results.size(); ++i) results[i] = static_cast<float>(computed[i]);
-    };
+    const StoredNumbers compute(*model_, Store::spectral, type_);
     std::vector<float*> out(bands);
     std::vector<std::uint16_t*> halves(bands);
     for (std::size_t begin = 0; begin < n; begin += block_pixels) {
@@ -428,13 +495,16 @@ void StorePlan::store_bands(std::array<const float*, 3> rgb, std::size_t n, std:
 void StorePlan::reproject(std::span<const std::byte* const> planes, std::size_t n, std::array<float*, 3> rgb) const {
     std::vector<float> widened;
     std::vector<const float*> in(planes.size());
-    if (type_ == PixelType::half) widened.resize(planes.size() * block_pixels);
+    if (type_ != PixelType::float32) widened.resize(planes.size() * block_pixels);
     for (std::size_t begin = 0; begin < n; begin += block_pixels) {
         const std::size_t count = std::min(block_pixels, n - begin);
         for (std::size_t i = 0; i < planes.size(); ++i) {
-            if (type_ == PixelType::half) {
+            if (type_ != PixelType::float32) {
                 float* out = &widened[i * block_pixels];
-                kernels::half_to_float(reinterpret_cast<const std::uint16_t*>(planes[i]) + begin, 1, count, out);
+                if (type_ == PixelType::half)
+                    kernels::half_to_float(reinterpret_cast<const std::uint16_t*>(planes[i]) + begin, 1, count, out);
+                else
+                    kernels::decode_codes(reinterpret_cast<const std::uint8_t*>(planes[i]) + begin, 1, count, plan::code_table(), out);
                 in[i] = out;
             } else {
                 in[i] = reinterpret_cast<const float*>(planes[i]) + begin;

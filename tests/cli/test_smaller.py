@@ -384,3 +384,67 @@ def test_greys_are_stored_once_and_copied(options, run, tmp_path):
         kept = np.array(reports["grey"]["max_error"]["kept_bits"])
         assert kept.sum() == greys.size
         assert (np.array(reports["mixed"]["max_error"]["kept_bits"]) >= kept).all()
+
+
+def straight_codes(path):
+    """As they are in the file: the library multiplies by alpha unless it is told not to."""
+    config = oiio.ImageSpec()
+    config.attribute("oiio:UnassociatedAlpha", 1)
+    source = oiio.ImageInput.open(str(path), config)
+    pixels = source.read_image("uint8")
+    source.close()
+    return np.asarray(pixels)
+
+
+@pytest.mark.parametrize("method", ["lattice", "mallett2019", "peters2019:fourier-srgb"])
+def test_coefficients_in_eight_bits(method, run, tmp_path):
+    """The codes of an 8-bit sRGB texture are the coefficients of methods that keep linear RGB: nothing is lost."""
+    rng = np.random.default_rng(12)
+    codes = rng.integers(0, 256, (31, 47, 4), dtype=np.uint8)
+    codes[0, :, :3] = np.arange(47)[:, None] * [5, 3, 1]
+    source = write_image(tmp_path / "in.png", codes, ["R", "G", "B", "A"], {"oiio:UnassociatedAlpha": 1})
+    out, exr = tmp_path / "out.png", tmp_path / "out.exr"
+    outcome = run("spxuplift", source, "-o", out, "--uint8", "--method", method, "--check", "--explain", "--json", "-", check=0)
+    report = outcome.json()
+    assert report["type"] == "uint8" and report["channels"] == ["R", "G", "B", "A"] and "3 in place of 6" in outcome.stderr
+    run("spxuplift", source, "-o", exr, "--float", "--method", method, check=0)
+    stored = straight_codes(out)
+    assert np.array_equal(stored[:, :, 3], codes[:, :, 3])
+    exact = method != "peters2019:fourier-srgb"
+    if exact:
+        assert np.array_equal(stored[:, :, :3], codes[:, :, :3]) and report["roundtrip"]["changed_codes"] == 0
+    else:
+        kept = read_image(exr)[0][:, :, :3]
+        assert np.abs(stored[:, :, :3] - oracle.srgb_encode(kept.astype(float)) * 255).max() <= 0.5 + 1e-5
+    # Every reader takes it for what it is: the same light as from floats, up to half a code.
+    facts = run("spxinfo", out, "--at", "3,5", "--json", "-", check=0).json()
+    assert facts["kind"] == "coefficients" and facts["format"] == "png" and facts["method"] == method
+    if exact:
+        assert facts["samples"]["G"] == pytest.approx(oracle.srgb_decode(codes[5, 3, 1] / 255), abs=1e-12)
+    for name, texture in (("codes", out), ("floats", exr)):
+        run("spxrelight", texture, "-i", "FL11", "--float", "-o", tmp_path / f"{name}.exr", check=0)
+    lit, expected = (read_image(tmp_path / f"{name}.exr")[0] for name in ("codes", "floats"))
+    assert np.abs(lit - expected)[:, :, :3].max() < (1e-6 if exact else 0.02)
+    assert np.abs(lit - expected)[:, :, 3].max() < 1e-6
+    difference = run("spxdiff", source, out, "--json", "-", check=0).json()
+    trip = run("spxdiff", "--roundtrip", source, "--uint8", "--method", method, "--json", "-", check=0).json()
+    assert difference["max"] < (1e-3 if exact else 3) and abs(trip["max"] - difference["max"]) < 0.01
+
+
+def test_eight_bits_where_they_do_not_fit(run, png, tmp_path):
+    out = tmp_path / "out.png"
+    for options, why in ((["--method", "jakob2019"], "within [0,1]"), (["--store", "spectral"], "not spectra"), (["--max-error", 1], "do not have"),
+                         (["--layout", "multipart"], "one part"), (["--half"], "excludes")):
+        assert why in run("spxuplift", png, "-o", out, "--uint8", *options, check=64).stderr
+    assert ".png" in run("spxuplift", png, "-o", tmp_path / "out.exr", "--uint8", check=64).stderr
+    assert ".exr" in run("spxuplift", png, "-o", out, check=64).stderr
+    run("spxbatch", tmp_path, tmp_path / "made", "--uint8", check=64)
+    # Between two codes the nearer one: a linear texture is rounded by the curve.
+    linear = np.random.default_rng(1).random((20, 30, 3)).astype(np.float32)
+    run("spxuplift", write_image(tmp_path / "linear.exr", linear), "-o", out, "--uint8", check=0)
+    stored = read_image(out, "uint8")[0].astype(int)
+    exact = oracle.srgb_encode(linear.astype(float)) * 255
+    assert np.abs(stored - exact).max() <= 0.5 + 1e-9
+    many = write_image(tmp_path / "many.exr", np.zeros((4, 4, 5), np.float16), ["R", "G", "B", "A", "Z"])
+    assert "alpha alone" in run("spxuplift", many, "-o", out, "--uint8", check=2).stderr
+    run("spxuplift", many, "-o", out, "--uint8", "--channels", "R,G,B,A", check=0)

@@ -203,7 +203,7 @@ public:
     virtual const SpectralHeader& header() const = 0;
     virtual int preferred_rows() const = 0;
     /// Planes of the bands (or coefficients) with these indices; a null plane is skipped, and channels never asked for are
-    /// not converted. @param planes  [bands], each [rows][width].
+    /// not converted; those of 8-bit files are code / 255 on the curve of sRGB. @param planes  [bands], each [rows][width].
     /// @param others  [others] planes in their own type, or empty.
     virtual Status read_rows(int y, int rows, std::span<float* const> planes, std::span<std::byte* const> others) = 0;
 };
