@@ -28,15 +28,20 @@ struct BreakEven {
         const double saved = compute + missed - found;
         return saved > 0 ? std::clamp((missed - plain) / saved, 0.0, 1.0) : 1;
     }
+    /// How long to compute before remembering is tried again, in trials, so that trying in vain adds a fiftieth.
+    double rest() const { return std::clamp(50 * (missed - plain) / std::max(plain + compute, 1e-3), 1.0, 1e3); }
 };
 
 /// Names a function of a colour: memories of one owner are never those of another.
 class ColorMemoryOwner {
 public:
     /// @param share  of colours that must come again for the memory to be used; 1 and it never is.
-    explicit ColorMemoryOwner(double share = 0) : id_(next()), share_(share) {}
+    /// @param rest   where fewer come again, how long it is left alone, in trials.
+    explicit ColorMemoryOwner(double share = 0, double rest = 8) : id_(next()), share_(share), rest_(rest) {}
+    explicit ColorMemoryOwner(const BreakEven& b) : ColorMemoryOwner(b.share(), b.rest()) {}
     std::uint64_t id() const { return id_; }
     double share() const { return share_; }
+    double rest() const { return rest_; }
 
 private:
     static std::uint64_t next() {
@@ -44,7 +49,7 @@ private:
         return ++last;
     }
     std::uint64_t id_;
-    double share_;
+    double share_, rest_;
 };
 
 /// Results of a function of three floats, the last that this thread met, in a table with one place for each hash. A result
@@ -56,8 +61,8 @@ public:
     /// What one memory may take.
     static constexpr std::size_t bytes = std::size_t{4} << 20;
     static constexpr std::size_t most_entries = std::size_t{1} << 15;
-    /// Where of so many colours fewer came again than the owner's share, so many calls pass before it is tried again.
-    static constexpr std::uint64_t judged = 1 << 15, rest = 256;
+    /// Colours of a trial: where fewer of them came again than the owner's share, the memory rests.
+    static constexpr std::uint64_t judged = 1 << 15;
     /// For measurements of one way or the other.
     enum class Use { as_it_pays, always, never };
     static inline std::atomic<Use> use{Use::as_it_pays};
@@ -73,12 +78,12 @@ public:
         if (how == Use::never || (how == Use::as_it_pays && owner.share() >= 1)) return pass(in, begin, n, values, compute, out);
         ColorMemory& memory = of(owner, values);
         // The function may run other tasks of this thread's while it waits for its own, and those come back here.
-        if (memory.busy_ || (how == Use::as_it_pays && memory.rests())) return pass(in, begin, n, values, compute, out);
+        if (memory.busy_ || (how == Use::as_it_pays && memory.rests(n))) return pass(in, begin, n, values, compute, out);
         memory.busy_ = true;
         // Should the function throw, the places that it left unfilled are nobody's.
         memory.owner_ = 0;
         const Release release{memory};
-        memory.look_up(in, begin, n, values, compute, out, owner.share());
+        memory.look_up(in, begin, n, values, compute, out, owner);
         memory.owner_ = owner.id();
     }
 
@@ -111,9 +116,9 @@ private:
         return memory;
     }
 
-    bool rests() {
+    bool rests(std::size_t n) {
         if (resting_ == 0) return false;
-        --resting_;
+        resting_ -= std::min<std::uint64_t>(resting_, n);
         return true;
     }
 
@@ -130,7 +135,7 @@ private:
 
     template <class Compute>
     void look_up(std::span<const float* const> in, std::size_t begin, std::size_t n, std::size_t values, const Compute& compute, float* out,
-                 double share) {
+                 const ColorMemoryOwner& owner) {
         missing_.clear();
         colors_.clear();
         repeats_.clear();
@@ -171,7 +176,8 @@ private:
         asked_ += n;
         computed_colours_ += missing_.size();
         if (asked_ < judged) return;
-        if (static_cast<double>(asked_ - computed_colours_) < share * static_cast<double>(asked_)) resting_ = rest;
+        if (static_cast<double>(asked_ - computed_colours_) < owner.share() * static_cast<double>(asked_))
+            resting_ = static_cast<std::uint64_t>(owner.rest() * static_cast<double>(asked_));
         asked_ = computed_colours_ = 0;
     }
 

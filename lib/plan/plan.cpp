@@ -233,7 +233,7 @@ RelightPlan RelightPlan::of_model(std::shared_ptr<const Model> model, std::vecto
             const auto b = plan::measure_break_even(
                 values, SpectraIntegral(plan.formed_weights_, plan.formed_.size(), values, ColorMemory::inputs, reflectance));
             plan.explanation_.push_back(explain_memory(b, of));
-            return std::make_shared<ColorMemoryOwner>(b.share());
+            return std::make_shared<ColorMemoryOwner>(b);
         };
         plan.of_colors_ = measure("colours", [&](std::span<const double> colors, std::span<double> spectra) {
             model->reflectance_in(plan.formed_, colors, spectra);
@@ -415,7 +415,7 @@ Result<StorePlan> StorePlan::make(std::shared_ptr<const Model> model, Store stor
     }
     if (model->info().pieces == Pieces::nonlinear) {
         const auto b = plan::measure_break_even(plan.names_.size(), StoredNumbers(*model, store, type));
-        plan.memory_ = std::make_shared<ColorMemoryOwner>(b.share());
+        plan.memory_ = std::make_shared<ColorMemoryOwner>(b);
         plan.explanation_.push_back(explain_memory(b));
     }
     return plan;

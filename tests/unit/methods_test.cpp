@@ -572,6 +572,9 @@ TEST(ColorMemory, BreaksEvenWhereBothWaysCostTheSame) {
         EXPECT_LT(s, 1);
         EXPECT_NEAR(s * b.found + (1 - s) * (b.missed + b.compute), b.plain + b.compute, 1e-9 * b.compute);
     }
+    // Trials in vain and the colours between them: a fiftieth more than the colours alone.
+    const plan::BreakEven b{100, 2, 12, 7};
+    EXPECT_NEAR((b.missed - b.plain) / (b.rest() * (b.plain + b.compute)), 0.02, 1e-9);
     EXPECT_EQ((plan::BreakEven{1, 2, 12, 20}.share()), 1);
     EXPECT_EQ((plan::BreakEven{1, 2, 30, 20}.share()), 1);
 }
