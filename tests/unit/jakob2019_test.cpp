@@ -349,6 +349,9 @@ TEST(Jakob2019, IsContinuousAlongLinesThroughTheCube) {
 }
 
 TEST(Jakob2019, ColoursBeyondTheSolidGetTheNearestSigmoid) {
+#if defined(__SANITIZE_THREAD__)
+    GTEST_SKIP() << "the whole table takes minutes here; CoefficientTable's tests make a small one by the same loop";
+#endif
     const auto c = colorimetry("380:780:5", "Rec.2020");
     const auto m = model("jakob2019", c);
     ASSERT_TRUE(m);
