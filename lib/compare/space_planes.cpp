@@ -12,13 +12,15 @@
 #include "hwy/highway.h"
 
 #include "compare/cube_root-inl.h"
+#include "kernels/exp-inl.h"
 
 HWY_BEFORE_NAMESPACE();
 namespace spectex::HWY_NAMESPACE {
 namespace hn = hwy::HWY_NAMESPACE;
 
-// ln 2 in two parts, of which the first times any exponent is exact.
-constexpr double ln2_high = 0x1.62e42feep-1, ln2_low = std::numbers::ln2 - ln2_high;
+using kernels::HWY_NAMESPACE::Exp;
+using kernels::HWY_NAMESPACE::ln2_high;
+using kernels::HWY_NAMESPACE::ln2_low;
 
 /// ln(1 + f) + rest for f in [sqrt(1/2) - 1, sqrt(2) - 1], `rest` small beside it: 2 artanh(f / (2 + f)) with the terms f and
 /// f^2 / 2 taken apart, whose rounding would count. The series of artanh, s^2 < 0.0295, to where a double ends.
@@ -65,22 +67,6 @@ HWY_INLINE V LogOnePlus(D dd, V x) {
     exponent = hn::IfThenElseZero(hn::Not(small), exponent);
     const V rest = hn::IfThenElseZero(hn::Not(small), hn::Add(hn::Mul(exponent, hn::Set(dd, ln2_low)), lost));
     return hn::Add(hn::Mul(exponent, hn::Set(dd, ln2_high)), LogNearOne(dd, f, rest));
-}
-
-/// e^x for x in [-700, 700].
-template <class D, class V>
-HWY_INLINE V Exp(D dd, V x) {
-    const hn::RebindToSigned<D> di;
-    // Adding it rounds to a whole number, which then stands in the lowest bits.
-    const V rounder = hn::Set(dd, 0x1.8p52), shifted = hn::Add(hn::Mul(x, hn::Set(dd, std::numbers::log2e)), rounder);
-    const V k = hn::Sub(shifted, rounder);
-    const V r = hn::Sub(hn::Sub(x, hn::Mul(k, hn::Set(dd, ln2_high))), hn::Mul(k, hn::Set(dd, ln2_low)));
-    // Taylor's series: |r| < 0.347, whose 14th power over 14! is 4e-18.
-    V series = hn::Set(dd, 1.0 / 6227020800.0);
-    for (const double factorial : {479001600.0, 39916800.0, 3628800.0, 362880.0, 40320.0, 5040.0, 720.0, 120.0, 24.0, 6.0, 2.0})
-        series = hn::Add(hn::Mul(series, r), hn::Set(dd, 1 / factorial));
-    const V y = hn::Add(hn::Set(dd, 1), hn::Add(r, hn::Mul(hn::Mul(r, r), series)));
-    return hn::BitCast(dd, hn::Add(hn::BitCast(di, y), hn::ShiftLeft<52>(hn::BitCast(di, shifted))));
 }
 
 /// Runs body(v), of three vectors of doubles that it replaces, over planes; the rest goes through buffers.

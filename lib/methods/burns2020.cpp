@@ -5,19 +5,59 @@
 // Newton's method on the Karush-Kuhn-Tucker system, from a flat spectrum, for each colour by itself. The Hessian is
 // tridiagonal, so that a step costs O(bands): the system of the multipliers is 3x3. Colours nearer to white than to black are
 // solved as their complements, 1 - rgb and -z, which is the same problem and keeps its digits. Black and white are the limits
-// z -> -inf and +inf, greys are flat.
+// z -> -inf and +inf, greys are flat. Many colours are solved several at a time by vectors, from guesses of a table, and those
+// that do not settle there one by one.
 #include "methods/burns2020.h"
 
 #include <fmt/format.h>
 
 #include <algorithm>
 #include <cmath>
+#include <mutex>
 
+#include "kernels/tanh_spectra.h"
+#include "methods/near_table.h"
 #include "methods/registry.h"
 
 namespace spectex::burns2020 {
+namespace {
 
-Solver::Solver(const Colorimetry& colorimetry) : a_(colorimetry.sensing_matrix()) {
+/// Of the tables of guesses: the second is solved from the first.
+constexpr std::array<std::size_t, 2> resolutions{5, 13};
+/// What stands for black in the tables, and from where on colours are solved one by one.
+constexpr double darkest_vertex = 1e-4, darkest = 1e-20;
+
+bool is_grey(double top, double low) { return top - low <= 1e-14 * top || !(top > 0); }
+bool is_complement(double top, double low) { return 1 - low < top; }
+
+}  // namespace
+
+/// z less half the logarithm of the largest component, which has a limit at black, and the multipliers, at the vertices of a
+/// near_table.
+struct Solver::Guesses {
+    std::once_flag made;
+    kernels::TanhEquations equations;
+    std::size_t resolution = 0;
+    std::vector<float> table;  ///< [vertex][bands + 3]
+
+    /// @param state  at least [colors][bands + 3].
+    void refine(const std::vector<Vector3>& colors, std::vector<double>& state, double* r, bool* accepted) const {
+        const std::size_t bands = equations.a.size(), width = bands + 3;
+        for (std::size_t g = 0; g < colors.size(); ++g) {
+            const double z = std::max({colors[g][0], colors[g][1], colors[g][2]}), shift = 0.5 * std::log(z);
+            const auto cell = near_table::cell_of(colors[g], z, resolution);
+            double* to = &state[g * width];
+            for (std::size_t l = 0; l < width; ++l) to[l] = l < bands ? shift : 0;
+            for (std::size_t corner = 0; corner < 8; ++corner) {
+                const float* vertex = &table[cell.vertex[corner] * width];
+                for (std::size_t l = 0; l < width; ++l) to[l] += cell.share[corner] * static_cast<double>(vertex[l]);
+            }
+        }
+        kernels::refine_tanh_spectra(equations, colors.empty() ? nullptr : colors[0].data(), colors.size(), state.data(), r, accepted);
+    }
+};
+
+Solver::Solver(const Colorimetry& colorimetry) : a_(colorimetry.sensing_matrix()), guesses_(std::make_shared<Guesses>()) {
     const auto& nm = colorimetry.bands().wavelengths_nm();
     const double mean = (nm.back() - nm.front()) / static_cast<double>(nm.size() - 1);
     for (std::size_t l = 0; l + 1 < nm.size(); ++l) {
@@ -27,14 +67,84 @@ Solver::Solver(const Colorimetry& colorimetry) : a_(colorimetry.sensing_matrix()
     }
 }
 
+void Solver::tabulate(std::size_t n) const {
+    Guesses& guesses = *guesses_;
+    const std::size_t width = bands() + 3;
+    const auto colors = near_table::vertices(n, darkest_vertex);
+    std::vector<double> state(colors.size() * width), r(colors.size() * bands());
+    const auto accepted = std::make_unique<bool[]>(colors.size());
+    if (guesses.resolution > 0) guesses.refine(colors, state, r.data(), accepted.get());
+    std::vector<float> table(state.size());
+    Work work(bands());
+    for (std::size_t i = 0; i < colors.size(); ++i) {
+        const double top = std::max({colors[i][0], colors[i][1], colors[i][2]}), low = std::min({colors[i][0], colors[i][1], colors[i][2]});
+        // White itself, about which no colours are asked for, has no z.
+        if (low >= 1) continue;
+        double* found = &state[i * width];
+        if (!accepted[i]) {
+            newton(colors[i], work);
+            std::copy(work.z.begin(), work.z.end(), found);
+            std::copy(work.y.begin(), work.y.end(), found + bands());
+        }
+        for (std::size_t l = 0; l < width; ++l) table[i * width + l] = static_cast<float>(found[l] - (l < bands() ? 0.5 * std::log(top) : 0));
+    }
+    guesses.resolution = n;
+    guesses.table = std::move(table);
+}
+
+void Solver::solve(std::span<const double> rgb, std::span<double> out) const {
+    std::call_once(guesses_->made, [&] {
+        guesses_->equations.slope = slope_;
+        for (std::size_t l = 0; l < bands(); ++l) guesses_->equations.a.push_back({a_[l], a_[bands() + l], a_[2 * bands() + l]});
+        for (const std::size_t n : resolutions) tabulate(n);
+    });
+    const std::size_t n = rgb.size() / 3;
+    constexpr std::size_t block = 32;
+    Work work(bands());
+    std::vector<Vector3> colors;
+    std::vector<std::size_t> where;
+    std::vector<double> state(block * (bands() + 3)), r(block * bands());
+    std::array<bool, block> accepted;
+    const auto ends = [&](std::size_t p) {
+        const double* c = &rgb[3 * p];
+        return std::array{std::max({c[0], c[1], c[2]}), std::min({c[0], c[1], c[2]})};
+    };
+    for (std::size_t begin = 0; begin < n; begin += block) {
+        colors.clear(), where.clear();
+        for (std::size_t p = begin; p < std::min(begin + block, n); ++p) {
+            const auto [top, low] = ends(p);
+            if (is_grey(top, low) || !(low >= 0 && top <= 1) || std::min(top, 1 - low) < darkest) {
+                solve(&rgb[3 * p], &out[p * bands()], work);
+                continue;
+            }
+            Vector3 color{rgb[3 * p], rgb[3 * p + 1], rgb[3 * p + 2]};
+            if (is_complement(top, low))
+                for (double& v : color) v = 1 - v;
+            colors.push_back(color);
+            where.push_back(p);
+        }
+        guesses_->refine(colors, state, r.data(), accepted.data());
+        for (std::size_t g = 0; g < where.size(); ++g) {
+            const std::size_t p = where[g];
+            if (!accepted[g]) {
+                solve(&rgb[3 * p], &out[p * bands()], work);
+                continue;
+            }
+            const auto [top, low] = ends(p);
+            const bool complement = is_complement(top, low);
+            for (std::size_t l = 0; l < bands(); ++l) out[p * bands() + l] = complement ? 1 - r[g * bands() + l] : r[g * bands() + l];
+        }
+    }
+}
+
 Solution Solver::solve(const double* rgb, double* out, Work& work) const {
     const std::size_t n = bands();
     const double top = std::max({rgb[0], rgb[1], rgb[2]}), low = std::min({rgb[0], rgb[1], rgb[2]});
-    if (top - low <= 1e-14 * top || !(top > 0)) {
+    if (is_grey(top, low)) {
         std::fill_n(out, n, (rgb[0] + rgb[1] + rgb[2]) / 3);
         return {};
     }
-    const bool complement = 1 - low < top;
+    const bool complement = is_complement(top, low);
     Vector3 color{rgb[0], rgb[1], rgb[2]};
     if (complement)
         for (double& v : color) v = 1 - v;
@@ -50,7 +160,7 @@ Solution Solver::newton(const Vector3& color, Work& w) const {
     const double unit = 1 / std::max({color[0], color[1], color[2]});
     const double mean = std::clamp((color[0] + color[1] + color[2]) / 3, 1e-300, 0.5);
     std::fill(w.z.begin(), w.z.end(), 0.5 * (std::log(mean) - std::log1p(-mean)));
-    Vector3 y{};
+    Vector3& y = w.y = {};
     double best = HUGE_VAL;
     bool near = false;
     constexpr int max_steps = 200;
@@ -73,7 +183,7 @@ Solution Solver::newton(const Vector3& color, Work& w) const {
             double gradient = first * s, curvature = second * s;
             // Far from the solution a convex model; near it Newton's own, which converges quadratically.
             if (!near) curvature = std::max(curvature, 0.0);
-            double diagonal = curvature + 1e-7;
+            double diagonal = curvature + kernels::tanh_regularization;
             if (l > 0) {
                 gradient += 2 * slope_[l - 1] * (w.z[l] - w.z[l - 1]);
                 diagonal += 2 * slope_[l - 1];
@@ -142,8 +252,7 @@ public:
     TanhModel(const MethodInfo& info, const Colorimetry& colorimetry) : Model(info, colorimetry), solver(colorimetry) {}
 
     void reflectance(std::span<const double> rgb, std::span<double> out) const override {
-        burns2020::Solver::Work work(solver.bands());
-        for (std::size_t p = 0; 3 * p + 2 < rgb.size(); ++p) solver.solve(&rgb[3 * p], &out[p * solver.bands()], work);
+        solver.solve(rgb, out);
     }
     std::string to_json() const override { return model_json(*this).dump(-1, ' ', false, Json::error_handler_t::replace); }
 

@@ -21,7 +21,7 @@
 #include <numbers>
 
 #include "kernels/arctangent.h"
-#include "kernels/sigmoid.h"
+#include "methods/near_table.h"
 #include "methods/registry.h"
 #include "spectex/color.h"
 
@@ -94,8 +94,7 @@ double phase_cosine(const Observer& observer, double wavelength_nm) {
     return std::cos(pi * below / all);
 }
 
-/// Multipliers times z over (block, w, y, x), as kernels::SigmoidEquations has its coefficients: the block is the index of the
-/// largest component z of q, w = sqrt(z), x and y are the next two over z. With the factor the table has a limit at black.
+/// Multipliers times z, the largest component, at the vertices of a near_table: with the factor they have a limit at black.
 struct Solver::Near {
     std::once_flag made;
     kernels::ArctangentEquations equations;
@@ -104,25 +103,10 @@ struct Solver::Near {
 
     /// @param z  largest component of q.
     Vector3 guess(const Vector3& q, double z) const {
-        using Warp = kernels::SigmoidEquations;
-        const std::size_t n = resolution, largest = static_cast<std::size_t>(std::max_element(q.begin(), q.end()) - q.begin());
-        const std::array<double, 3> position{Warp::ratio_position(q[(largest + 1) % 3] / z), Warp::ratio_position(q[(largest + 2) % 3] / z),
-                                             Warp::root_position(std::sqrt(z))};
-        std::array<std::size_t, 3> cell{};
-        std::array<double, 3> fraction{};
-        for (std::size_t k = 0; k < 3; ++k) {
-            const double p = std::clamp(position[k], 0.0, 1.0) * static_cast<double>(n - 1);
-            cell[k] = std::min(static_cast<std::size_t>(p), n - 2);
-            fraction[k] = p - static_cast<double>(cell[k]);
-        }
+        const auto cell = near_table::cell_of(q, z, resolution);
         Vector3 v{};
-        for (std::size_t corner = 0; corner < 8; ++corner) {
-            const std::size_t dx = corner & 1, dy = corner >> 1 & 1, dz = corner >> 2;
-            const double weight = (dx ? fraction[0] : 1 - fraction[0]) * (dy ? fraction[1] : 1 - fraction[1]) *
-                                  (dz ? fraction[2] : 1 - fraction[2]) / z;
-            const Vector3& vertex = table[((largest * n + cell[2] + dz) * n + cell[1] + dy) * n + cell[0] + dx];
-            for (std::size_t i = 0; i < 3; ++i) v[i] += weight * vertex[i];
-        }
+        for (std::size_t corner = 0; corner < 8; ++corner)
+            for (std::size_t i = 0; i < 3; ++i) v[i] += cell.share[corner] / z * table[cell.vertex[corner]][i];
         return v;
     }
 };
@@ -213,26 +197,19 @@ const Solver::Near& Solver::near() const {
         Near& near = *near_;
         for (std::size_t b = 0; b < x_.size(); ++b) near.equations.bands.push_back({x_[b], sense_[b]});
         for (const std::size_t n : resolutions) {
-            const auto at = [last = static_cast<double>(n - 1)](std::size_t k) { return static_cast<double>(k) / last; };
-            std::vector<double> rgb, largest;
-            for (std::size_t vertex = 0; vertex < 3 * n * n * n; ++vertex) {
-                const std::size_t block = vertex / (n * n * n), k = vertex / (n * n) % n, y = vertex / n % n, x = vertex % n;
-                const double z = std::max(std::pow(kernels::SigmoidEquations::root_at(at(k)), 2), darkest);
-                largest.push_back(z);
-                Vector3 q;
-                q[block] = z;
-                q[(block + 1) % 3] = z * kernels::SigmoidEquations::ratio_at(at(x));
-                q[(block + 2) % 3] = z * kernels::SigmoidEquations::ratio_at(at(y));
-                rgb.insert(rgb.end(), q.begin(), q.end());
-            }
-            std::vector<Solution> solved(largest.size());
+            const auto colors = near_table::vertices(n, darkest);
+            std::vector<double> rgb;
+            for (const Vector3& q : colors) rgb.insert(rgb.end(), q.begin(), q.end());
+            std::vector<Solution> solved(colors.size());
             if (near.resolution == 0)
-                for (std::size_t i = 0; i < solved.size(); ++i) solved[i] = solve({rgb[3 * i], rgb[3 * i + 1], rgb[3 * i + 2]});
+                std::transform(colors.begin(), colors.end(), solved.begin(), [&](const Vector3& q) { return solve(q); });
             else
                 solve(rgb, solved.data(), near);
             near.table.assign(solved.size(), {});
-            for (std::size_t i = 0; i < solved.size(); ++i)
-                for (std::size_t l = 0; l < 3; ++l) near.table[i][l] = (solved[i].complement ? -1 : 1) * solved[i].multipliers[l] * largest[i];
+            for (std::size_t i = 0; i < solved.size(); ++i) {
+                const double z = std::max({colors[i][0], colors[i][1], colors[i][2]}), factor = solved[i].complement ? -z : z;
+                for (std::size_t l = 0; l < 3; ++l) near.table[i][l] = factor * solved[i].multipliers[l];
+            }
             near.resolution = n;
         }
     });

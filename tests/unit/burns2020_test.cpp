@@ -1,4 +1,5 @@
 #include <gtest/gtest.h>
+#include <hwy/targets.h>
 
 #include <chrono>
 
@@ -64,6 +65,32 @@ TEST_P(Burns, HasTheLeastSlopeInTheTanhDomain) {
 }
 
 INSTANTIATE_TEST_SUITE_P(Burns2020, Burns, testing::Values("380:780:5", "380:780:10", "380:780:20", "36", "433:646:35.5"));
+
+TEST(Burns2020, GivesTheSameBytesOnEveryTargetAndForEverySplit) {
+    const auto c = colorimetry("380:780:10");
+    std::vector<double> rgb;
+    for (const auto& v : colors(300)) rgb.insert(rgb.end(), v.begin(), v.end());
+    const std::size_t n = rgb.size() / 3, bands = c.bands().size();
+    std::vector<double> first;
+    const std::int64_t all = hwy::SupportedTargets();
+    for (std::int64_t rest = all; rest != 0; rest &= rest - 1) {
+        const std::int64_t target = rest & -rest;
+        SCOPED_TRACE(hwy::TargetName(target));
+        hwy::SetSupportedTargetsForTest(target);
+        const auto m = model("burns2020", c);
+        ASSERT_TRUE(m);
+        std::vector<double> whole(n * bands), parts(whole.size());
+        m->reflectance(rgb, whole);
+        for (std::size_t at = 0, step = 1; at < n; at += step, step = step % 37 + 1) {
+            const std::size_t count = std::min(step, n - at);
+            m->reflectance(std::span(rgb).subspan(3 * at, 3 * count), std::span(parts).subspan(at * bands, count * bands));
+        }
+        if (first.empty()) first = whole;
+        EXPECT_EQ(whole, first);
+        EXPECT_EQ(parts, first);
+    }
+    hwy::SetSupportedTargetsForTest(0);
+}
 
 TEST(Burns2020, ComplementsMirror) {
     const auto m = model("burns2020", colorimetry());
