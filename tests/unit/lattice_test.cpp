@@ -1,6 +1,7 @@
 #include <gtest/gtest.h>
 
 #include <cmath>
+#include <map>
 #include <nlohmann/json.hpp>
 #include <random>
 
@@ -55,11 +56,21 @@ struct Case {
 };
 void PrintTo(const Case& c, std::ostream* out) { *out << c.bands << ' ' << c.spec.observer << ' ' << c.spec.illuminant; }
 
-class Lattices : public testing::TestWithParam<Case> {};
+class Lattices : public testing::TestWithParam<Case> {
+protected:
+    /// Made once for all tests: where no table is shipped, every vertex is solved.
+    static std::shared_ptr<const Model> lattice() {
+        static std::map<std::string, std::shared_ptr<const Model>> made;
+        const auto& [bands, spec] = GetParam();
+        auto& m = made[std::string(bands) + ' ' + spec.observer + ' ' + spec.illuminant + ' ' + spec.rgb_space];
+        if (!m) m = model(colorimetry(bands, spec));
+        return m;
+    }
+};
 
 TEST_P(Lattices, AreExactAndBoundedAtVerticesAndBetween) {
     const auto c = colorimetry(GetParam().bands, GetParam().spec);
-    const auto m = model(c);
+    const auto m = lattice();
     ASSERT_TRUE(m);
     EXPECT_EQ(m->info().pieces, Pieces::tetrahedral);
     EXPECT_EQ(m->basis(), nullptr);
@@ -102,7 +113,7 @@ TEST_P(Lattices, AreExactAndBoundedAtVerticesAndBetween) {
 }
 
 TEST_P(Lattices, AreContinuousAcrossCellsAndTetrahedra) {
-    const auto m = model(colorimetry(GetParam().bands, GetParam().spec));
+    const auto m = lattice();
     ASSERT_TRUE(m);
     const LatticeTable& table = *m->lattice();
     const double cells = static_cast<double>(table.knots[0].size() - 1);
@@ -129,7 +140,7 @@ TEST_P(Lattices, AreContinuousAcrossCellsAndTetrahedra) {
 
 TEST_P(Lattices, RelightAsTheIntegralOfTheBlendedSpectrum) {
     const auto c = colorimetry(GetParam().bands, GetParam().spec);
-    const auto m = model(c);
+    const auto m = lattice();
     ASSERT_TRUE(m);
     RelightRequest request;
     request.illuminants = {parse_illuminant("A").value()};
