@@ -243,6 +243,8 @@ void sensitivity(Subject& s) {
     Bounds bounds{64, HUGE_VAL, "continuous, with a slope of at most some tens"};
     if (s.name().starts_with("jakob2019") || s.name().starts_with("macadam1935") || s.name().starts_with("otsu2018"))
         bounds = {0x1p24, HUGE_VAL, "a figure, not an error: the method's own spectrum jumps at black and white (otsu2018: between clusters)"};
+    if (s.name().starts_with("peters2019"))
+        bounds = {4096, HUGE_VAL, "as the others, of a narrow peak that is some tens of times its colour: a unit near 1 is much of what is left of the complement"};
     if (s.model.info().pieces == Pieces::linear) bounds = {1.01, HUGE_VAL, "no band of a primary exceeds 1"};
     s.study.add("methods", fmt::format("{}: change of a band per ulp of a component", s.name()), "2^-24", tally,
                 [&](std::uint64_t i) { return colors.describe(i); }, bounds);

@@ -85,6 +85,7 @@ Status RelightSetup::light(const RawStrip& raw, int y, std::size_t begin, std::s
         const std::string path = source->report().path;
         if (auto s = map_colors(rgb, n, gamut, model->colorimetry(), {path, y, begin, source->geometry().width}, counts); !s)
             return s;
+        count_unreached(*model, {rgb[0], rgb[1], rgb[2]}, n, begin, counts);
         in.assign(rgb.begin(), rgb.end());
     }
     const std::size_t images = plan->images();

@@ -45,6 +45,9 @@ struct GroupPlace {
 Status map_colors(std::array<float*, 3> rgb, std::size_t n, GamutPolicy policy, const Colorimetry& colorimetry,
                   const GroupPlace& place, Counts& counts);
 
+/// Counts the colours for which the method has no spectrum and takes the nearest. @param begin  of the group, as in GroupPlace.
+void count_unreached(const Model& model, std::array<const float*, 3> rgb, std::size_t n, std::size_t begin, Counts& counts);
+
 /// Sums over groups that finish in any order.
 class CountTotals {
 public:

@@ -202,6 +202,16 @@ Result<UpliftSetup> UpliftSetup::make(const std::string& input, const UpliftSett
     return setup;
 }
 
+void count_unreached(const Model& model, std::array<const float*, 3> rgb, std::size_t n, std::size_t begin, Counts& counts) {
+    if (model.info().pieces != Pieces::nonlinear || model.info().exact) return;
+    std::vector<double> colors(3 * n);
+    for (std::size_t p = 0; p < n; ++p)
+        for (std::size_t c = 0; c < 3; ++c) colors[3 * p + c] = static_cast<double>(rgb[c][p]);
+    const auto unreached = model.unreached(colors);
+    counts.unreached += unreached.size();
+    if (!unreached.empty()) counts.first_unreached = std::min(counts.first_unreached, begin + unreached.front());
+}
+
 Status map_colors(std::array<float*, 3> rgb, std::size_t n, GamutPolicy policy, const Colorimetry& colorimetry,
                   const GroupPlace& place, Counts& counts) {
     std::uint64_t replaced = 0;
@@ -245,14 +255,7 @@ Status UpliftSetup::convert(const RawStrip& raw, int y, std::size_t begin, std::
     const std::array<float*, 3> rgb{scratch.rgb[0].data(), scratch.rgb[1].data(), scratch.rgb[2].data()};
     const auto report = source->report();
     if (auto s = map_colors(rgb, n, gamut, model->colorimetry(), {report.path, y, begin, report.width}, counts); !s) return s;
-    if (model->info().pieces == Pieces::nonlinear && !model->info().exact) {
-        std::vector<double> colors(3 * n);
-        for (std::size_t p = 0; p < n; ++p)
-            for (std::size_t c = 0; c < 3; ++c) colors[3 * p + c] = rgb[c][p];
-        const auto unreached = model->unreached(colors);
-        counts.unreached += unreached.size();
-        if (!unreached.empty()) counts.first_unreached = std::min(counts.first_unreached, begin + unreached.front());
-    }
+    count_unreached(*model, {rgb[0], rgb[1], rgb[2]}, n, begin, counts);
     const std::array<const float*, 3> colors{rgb[0], rgb[1], rgb[2]};
     std::optional<BoundedStore::Failure> failure;
     scratch.greys.clear();

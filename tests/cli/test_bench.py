@@ -156,6 +156,11 @@ def test_stability(tmp_path, run):
     for row in figures["rows"]:
         assert row["group"] == "sums" and row["kept"] and row["broken"] == 0 and row["cases"] > 0 and row["reason"]
         assert row["worst"] <= row["bound"]
+    run("spxbench", "stability", "--groups", "solvers", "--methods", "burns2020", "--stride", "65536", "--bands", "380:780:20", "--json",
+        tmp_path / "solvers.json", check=0)
+    solver, = json.loads((tmp_path / "solvers.json").read_text())["solvers"]
+    assert solver["method"] == "burns2020" and solver["unreached"] == 0 and solver["counts"]["1 to 8 Newton steps"] > 0
+    assert sum(solver["counts"].values()) == solver["colors"] > 0
     run("spxbench", "stability", "--groups", "sums,colors", check=64)
     run("spxbench", "stability", "--methods", "none", check=64)
 
@@ -173,3 +178,8 @@ def test_colours_without_a_spectrum_are_counted(tmp_path, run):
     assert f"{wide['unreached']} pixels have no spectrum of this method, the first at {x},{y}" in made[1].stderr
     # Off by what the colour solid lacks, and not into white or black.
     assert 0.1 < wide["roundtrip"]["max"] < 60
+    # The same where the texture is relit without being stored.
+    lit = run("spxrelight", path, "-i", "A", "-o", tmp_path / "lit.exr", "--method", "jakob2019", "--bands", "380:780:20", "--rgb-space", "Rec.2020",
+              "--input-colorspace", "Linear Rec.2020", "--json", "-", check=0)
+    assert lit.json()["unreached"] == wide["unreached"] and lit.json()["first_unreached"] == [x, y]
+    assert "have no spectrum of this method" in lit.stderr
