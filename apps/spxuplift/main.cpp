@@ -54,6 +54,9 @@ int main(int argc, char** argv) {
         options.constant_to_pixel = constant_to_pixel;
         options.compression = set.output.compression;
         options.check_all = check;
+        // Solved once for all; what cannot be is said of each input.
+        if (jobs->size() > 1)
+            if (auto solved = solve_model(options.settings)) options.settings.model = *std::move(solved);
         return app.each_distinct(*jobs, [&](const Job& job) -> Result<Json> {
             const auto progress = app.progress(job.input);
             options.job = job_options(app, progress, input_colorspace);

@@ -273,6 +273,7 @@ Result<TradeoffRow> measure_tradeoff(const TradeoffOptions& options) {
         UpliftOptions uplifting;
         uplifting.job = job;
         uplifting.settings = settings;
+        uplifting.settings.model = *model;  // a part of the set-up, as for whoever converts many files
         uplifting.compression = options.compression;
         const ScratchFile file{fmt::format("{}/.spxbench-{}{}", options.scratch, ::getpid(), settings.type == PixelType::uint8 ? ".png" : ".exr")};
         const auto colours = colours_of(path, *c, job, settings.gamut, computed_colours);
