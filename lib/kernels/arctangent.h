@@ -25,12 +25,12 @@ struct ArctangentEquations {
     std::vector<Band> bands;
 };
 
+constexpr int most_arctangent_steps = 8;
 /// Newton's method for the equations of n colours, at most `most_arctangent_steps` steps, none shortened.
 /// @param q         three planes of n.
 /// @param v         three planes of n: starts, and multipliers.
 /// @param accepted  [n]: whether the largest residual before the last step was below 1e-9 of the largest component of q; the
 ///                  step leaves about its square. Otherwise v is of no use.
-constexpr int most_arctangent_steps = 8;
 void refine_arctangents(const ArctangentEquations& equations, std::array<const double*, 3> q, std::size_t n,
                         std::array<double*, 3> v, bool* accepted);
 
