@@ -173,7 +173,7 @@ std::vector<Lamp> every_lamp(const std::filesystem::path& folder) {
     for (const int kelvin : {500, 1000, 2856, 6504, 100000}) lamps.push_back({"P:" + std::to_string(kelvin), planck(kelvin, 1.438776877e7L)});
     const auto tables = reference::read_csv(luts + "/illuminants/cie_tables_380-780-5.csv");
     for (const auto& [name, values] : tables.column)
-        lamps.push_back({name, at_whole_nm([&](Real nm) { return reference::interpolate(tables.nm, values, nm); })});
+        lamps.push_back({name, at_whole_nm([&, &column = values](Real nm) { return reference::interpolate(tables.nm, column, nm); })});
     // Columns by their place: the index of a lamp.
     std::ifstream in(luts + "/illuminants/lamps_380-780-5.csv");
     std::string line, field;
@@ -214,7 +214,7 @@ std::vector<Lamp> every_lamp(const std::filesystem::path& folder) {
              {"0.7*A+0.3*FL11", 0.7L, "FL11"}, {"1*A+1*HP1", 0.5L, "HP1"}, {"0.25*A+2.25*FL3.4", 0.1L, "FL3.4"}}) {
         const auto& other = columns[named.at(name)];
         const Real ya = luminance(a), yb = luminance([&](Real l) { return reference::interpolate(nm, other, l); });
-        lamps.push_back({text, at_whole_nm([&](Real l) { return share * a(l) / ya + (1 - share) * reference::interpolate(nm, other, l) / yb; })});
+        lamps.push_back({text, at_whole_nm([&, part = share](Real l) { return part * a(l) / ya + (1 - part) * reference::interpolate(nm, other, l) / yb; })});
     }
     // Wavelengths at no even step, in and out of the range that is seen.
     const std::vector<Real> places{350, 391, 410.5L, 433.25L, 435.75L, 438, 480, 543.5L, 546.25L, 549, 610.125L, 612, 640, 700.5L, 760, 900};
