@@ -15,7 +15,7 @@ namespace {
 
 using plan::ColorMemory;
 
-constexpr std::size_t strip = 8192;
+constexpr std::size_t strip_pixels = 8192;
 
 double cpu_seconds() {
     timespec t{};
@@ -92,7 +92,7 @@ Result<std::vector<MemorySpeed>> measure_color_memory(std::span<const std::strin
         if (!coefficients) return coefficients.error();
         if (!spectra) return spectra.error();
         if (!relight) return relight.error();
-        std::vector<std::vector<float>> out(std::max<std::size_t>(spectra->channels(), 8), std::vector<float>(strip));
+        std::vector<std::vector<float>> out(std::max<std::size_t>(spectra->channels(), 8), std::vector<float>(strip_pixels));
         std::vector<std::byte*> planes;
         std::vector<float*> lit;
         for (auto& plane : out) planes.push_back(reinterpret_cast<std::byte*>(plane.data())), lit.push_back(plane.data());
@@ -116,17 +116,17 @@ Result<std::vector<MemorySpeed>> measure_color_memory(std::span<const std::strin
                 if (line.text.starts_with("colours met before")) row.decision = line.text;
             // As many colours as take a moment.
             std::mt19937 random(1);
-            std::size_t n = strip;
+            std::size_t n = strip_pixels;
             {
                 const auto c = colors_with_repeats(256, 0, random);
                 const Forced never(ColorMemory::Use::never);
                 const double ns = best_of(2, 256, [&] { work.run({c[0].data(), c[1].data(), c[2].data()}, 256); });
-                n = std::clamp<std::size_t>(static_cast<std::size_t>(2e7 / std::max(ns, 1.0)) / 1024 * 1024, 1024, 4 * strip);
+                n = std::clamp<std::size_t>(static_cast<std::size_t>(2e7 / std::max(ns, 1.0)) / 1024 * 1024, 1024, 4 * strip_pixels);
             }
             for (const double share : {0.0, 0.05, 0.1, 0.25, 0.5, 0.9}) {
                 const auto c = colors_with_repeats(n, share, random);
                 const auto all = [&] {
-                    for (std::size_t at = 0; at < n; at += strip) work.run({c[0].data() + at, c[1].data() + at, c[2].data() + at}, std::min(strip, n - at));
+                    for (std::size_t at = 0; at < n; at += strip_pixels) work.run({c[0].data() + at, c[1].data() + at, c[2].data() + at}, std::min(strip_pixels, n - at));
                 };
                 MemorySpeed::Point point{share, 0, 0};
                 {
@@ -140,8 +140,8 @@ Result<std::vector<MemorySpeed>> measure_color_memory(std::span<const std::strin
                     for (int round = 0; round < rounds; ++round) {
                         auto fresh = colors_with_repeats(n, share, random);
                         best = std::min(best, best_of(1, n, [&] {
-                            for (std::size_t at = 0; at < n; at += strip)
-                                work.run({fresh[0].data() + at, fresh[1].data() + at, fresh[2].data() + at}, std::min(strip, n - at));
+                            for (std::size_t at = 0; at < n; at += strip_pixels)
+                                work.run({fresh[0].data() + at, fresh[1].data() + at, fresh[2].data() + at}, std::min(strip_pixels, n - at));
                         }));
                     }
                     point.remembered_ns = best;
