@@ -620,6 +620,64 @@ TEST_F(IoTest, TiledFilesAreReadByRows) {
     for (const int step : {7, 16, 90}) expect_planes(path("ts.exr"), g, {2, 0, 1}, step);
 }
 
+TEST_F(IoTest, LevelsAreReadByAnyRows) {
+    for (const int up : {0, 1}) {
+        const std::string file = path(fmt::format("levels{}.exr", up));
+        auto out = OIIO::ImageOutput::create(file);
+        ASSERT_TRUE(out);
+        std::vector<std::vector<float>> levels;
+        std::vector<std::array<int, 2>> sizes;
+        for (int w = 37, h = 61;; w = std::max((w + up) / 2, 1), h = std::max((h + up) / 2, 1)) {
+            OIIO::ImageSpec spec(w, h, 3, OIIO::TypeDesc::HALF);
+            spec.tile_width = spec.tile_height = 8;
+            spec.x = spec.full_x = 5;
+            spec.y = spec.full_y = -3;
+            spec.attribute("textureformat", "Plain Texture");
+            spec.attribute("openexr:roundingmode", up);
+            ASSERT_TRUE(out->open(file, spec, levels.empty() ? OIIO::ImageOutput::Create : OIIO::ImageOutput::AppendMIPLevel)) << out->geterror();
+            std::vector<float> pixels;
+            for (int i = 0; i < w * h * 3; ++i) pixels.push_back(static_cast<float>((i + 37 * static_cast<int>(levels.size())) % 2000));  // whole in half
+            ASSERT_TRUE(out->write_image(OIIO::TypeDesc::FLOAT, pixels.data())) << out->geterror();
+            levels.push_back(std::move(pixels));
+            sizes.push_back({w, h});
+            if (w == 1 && h == 1) break;
+        }
+        ASSERT_TRUE(out->close());
+        out.reset();  // which alone ends a file that more levels might follow in
+        std::int64_t pixels = 0;
+        for (const auto& [w, h] : sizes) pixels += w * h;
+        const int count = static_cast<int>(levels.size());
+        for (int level = 0; level < count; ++level)
+            for (const int step : {1, 3, 8, 13, 64}) {
+                ImageSelection selection;
+                selection.mip = level;
+                auto reader = ImageReader::open(file, 1, {}, selection);
+                ASSERT_TRUE(reader) << reader.error().message;
+                const auto& h = (*reader)->header();
+                const auto& [width, height] = sizes[static_cast<std::size_t>(level)];
+                EXPECT_EQ(h.geometry.width, width);
+                EXPECT_EQ(h.geometry.height, height);
+                EXPECT_EQ(h.geometry.x, 5);
+                EXPECT_EQ(h.mip_levels, count);
+                EXPECT_EQ(h.mip_pixels, pixels);
+                const auto row = static_cast<std::size_t>(3 * width);
+                std::vector<half> got(row * static_cast<std::size_t>(height));
+                for (int y = 0; y < height; y += step) {
+                    const auto read = (*reader)->read_rows(y, std::min(step, height - y), reinterpret_cast<std::byte*>(got.data() + row * static_cast<std::size_t>(y)));
+                    ASSERT_TRUE(read) << level << " " << step << " " << read.error().message;
+                }
+                // The file's channels are in the order of their names: B, G, R.
+                for (std::size_t i = 0; i < got.size(); ++i)
+                    ASSERT_EQ(static_cast<float>(got[i]), levels[static_cast<std::size_t>(level)][i / 3 * 3 + 2 - i % 3]) << level << " " << step << " " << i;
+            }
+        ImageSelection beyond;
+        beyond.mip = count;
+        const auto refused = ImageReader::open(file, 1, {}, beyond);
+        ASSERT_FALSE(refused);
+        EXPECT_NE(refused.error().message.find(fmt::format("expected 0 to {}", count - 1)), std::string::npos) << refused.error().message;
+    }
+}
+
 TEST_F(IoTest, BytesDependNeitherOnThreadsNorOnStripsNorOnTheClock) {
     const Geometry g = size(123, 211);
     for (const char* suffix : {"exr", "png", "tif", "jpg", "tga", "bmp", "hdr"}) {
