@@ -122,9 +122,9 @@ def test_memory_of_colours(tmp_path, run):
     assert len(rows) == 6 and len(table(out)) == 7 and not any(method == "mallett2019" for method, _ in rows)
     assert all([point["share"] for point in r["points"]] == [0, 0.05, 0.1, 0.25, 0.5, 0.9] for r in rows.values())
     decided = {key: float(r["decision"].split("wherever ")[1].split("%")[0]) / 100 if "wherever" in r["decision"] else 1 for key, r in rows.items()}
-    for work in ("36 bands", "relit under A"):  # microseconds against some ten nanoseconds
+    for work in ("36 bands", "relit under A"):  # hundreds of nanoseconds against some ten
         row = rows["burns2020", work]
-        assert decided["burns2020", work] < 0.1 and row["break_even"] < 0.4 and row["points"][-1]["remembered_ns"] < 0.5 * row["points"][-1]["computed_ns"]
+        assert decided["burns2020", work] < 0.5 and row["break_even"] < 0.6 and row["points"][-1]["remembered_ns"] < 0.6 * row["points"][-1]["computed_ns"]
     # A sum of three products takes less than any look-up.
     assert decided["otsu2018", "coefficients"] == rows["otsu2018", "coefficients"]["break_even"] == 1
     run("spxbench", "memory", "--methods", "mallett2019", check=64)
