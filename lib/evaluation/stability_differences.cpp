@@ -99,7 +99,7 @@ Bounds kernel_bounds(Metric metric, bool single) {
         return {pq ? 64.0 : 32.0, 1e-10,
                 pq ? "1 of the last rounding, and for differences near 1e-6 what 720 times the PQ curve, of slope 79, leaves in double"
                    : "1 of the last rounding, and for differences near 1e-6 what Lab in double leaves, 1e-12"};
-    if (metric == Metric::cmc) return {400, 5e-11, "as the others, which are right to 256, over the 0.638 that chroma and hue are divided by near neutral"};
+    if (metric == Metric::cmc) return {516, 6e-11, "as the others, which are right to 256, over weights that go down to 0.497 for references of little chroma"};
     return {pq ? 512.0 : 256.0, 3e-11, pq ? "720 times the PQ curve, whose power is 79" : "Lab of colours up to 2 is right to 1e-12; weights are continuous there"};
 }
 
