@@ -33,7 +33,7 @@ struct StoreSpec {
 
 /// For a chart, whose labels are many: 36 half bands, ΔE ≤ 0.5.
 std::string label_of(const StoreSpec& spec) {
-    const char* type = spec.type == PixelType::half ? "half" : "float";
+    const char* type = spec.type == PixelType::half ? "half" : spec.type == PixelType::uint8 ? "8-bit" : "float";
     std::string label = spec.store == Store::coefficients ? fmt::format("{} coefficients", type) : fmt::format("{} {} bands", spec.bands, type);
     if (spec.max_error) label += fmt::format(", ΔE ≤ {:g}", *spec.max_error);
     return label;
