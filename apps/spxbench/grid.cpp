@@ -131,7 +131,7 @@ int grid(app::App& tool, const GridRequest& request) {
     Table table(header);
     Json json{{"what", "grid"}, {"corpus", request.corpus.empty() ? Json(fmt::format("built in, {0} x {0}", texture_size)) : Json(*corpus)},
               {"runs", request.runs}, {"rows", Json::array()}};
-    Chart chart{"Run time against error", "seconds per million pixels, whole file", "mean CIEDE2000 relit under A, FL11 and D50", {}, {}, exact_below};
+    Chart chart{"Run time against error", "seconds per million pixels, whole file", "mean CIEDE2000 of what is stored under A, FL11 and D50, against the same method at 5 nm", {}, {}, exact_below};
     std::vector<std::array<double, 2>> points;
     for (std::size_t m = 0; m < methods.size(); ++m) {
         ChartSeries series{methods[m], {}, curve_color(m), false};
