@@ -442,8 +442,9 @@ void sigmoids_and_slopes(const std::array<double, 3>& c, std::span<const double>
     HWY_DYNAMIC_DISPATCH(EvaluateWithSlopes)(c.data(), t.data(), t.size(), r, slope);
 }
 
-double SigmoidEquations::bent_ratio(double ratio) { return std::sqrt(ratio + ratio_shift); }
-double SigmoidEquations::bent_root(double w) { return w - root_bend * std::sqrt(1 + root_shift - w); }
+// Colours beyond the cube are guessed too.
+double SigmoidEquations::bent_ratio(double ratio) { return std::sqrt(std::max(ratio, 0.0) + ratio_shift); }
+double SigmoidEquations::bent_root(double w) { return w - root_bend * std::sqrt(std::max(1 + root_shift - w, 0.0)); }
 double SigmoidEquations::ratio_position(double ratio) {
     return (bent_ratio(ratio) - bent_ratio(0)) / (bent_ratio(1) - bent_ratio(0));
 }
