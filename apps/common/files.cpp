@@ -96,6 +96,8 @@ std::string head_of(const std::string& path) {
     return head;
 }
 
+}  // namespace
+
 bool same_bytes(const std::string& a, const std::string& b) {
     std::ifstream files[] = {std::ifstream(a, std::ios::binary), std::ifstream(b, std::ios::binary)};
     std::vector<char> buffers[] = {std::vector<char>(std::size_t{1} << 16), std::vector<char>(std::size_t{1} << 16)};
@@ -108,8 +110,6 @@ bool same_bytes(const std::string& a, const std::string& b) {
         if (static_cast<std::size_t>(read) < buffers[0].size()) return files[0].eof() && files[1].eof();
     }
 }
-
-}  // namespace
 
 std::optional<std::size_t> EqualFiles::number(const std::string& path) {
     const auto stamp = stamp_of(path);

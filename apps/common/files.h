@@ -41,6 +41,9 @@ Result<std::vector<Job>> plan_outputs(std::span<const std::string> inputs, std::
                                       std::string_view suffix, std::span<const std::string> variants = {},
                                       std::span<const int> levels = {});
 
+/// Whether two files can be read and are equal byte for byte.
+bool same_bytes(const std::string& a, const std::string& b);
+
 /// Tells files of equal bytes by a number for each content.
 class EqualFiles {
 public:

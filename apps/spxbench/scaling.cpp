@@ -5,10 +5,10 @@
 #include <chrono>
 #include <cmath>
 #include <filesystem>
-#include <fstream>
 #include <map>
 #include <thread>
 
+#include "../common/files.h"
 #include "grid.h"
 #include "spectex/evaluation.h"
 #include "spectex/pipeline.h"
@@ -20,18 +20,6 @@ namespace spectex::bench {
 using app::Json;
 
 namespace {
-
-/// Of two files.
-bool same_bytes(const std::string& a, const std::string& b) {
-    std::ifstream one(a, std::ios::binary), other(b, std::ios::binary);
-    std::vector<char> from_one(std::size_t{1} << 20), from_other(from_one.size());
-    while (one && other) {
-        one.read(from_one.data(), static_cast<std::streamsize>(from_one.size()));
-        other.read(from_other.data(), static_cast<std::streamsize>(from_other.size()));
-        if (one.gcount() != other.gcount() || !std::equal(from_one.begin(), from_one.begin() + one.gcount(), from_other.begin())) return false;
-    }
-    return one.eof() && other.eof();
-}
 
 /// Seconds of a conversion.
 struct Times {
@@ -83,7 +71,7 @@ int scaling(app::App& tool, const GridRequest& request) {
             const Times end = times_so_far();
             if (compared && run == 0) {
                 if (threads == 1) std::filesystem::rename(output, of_one_thread, ignored);
-                else if (!same_bytes(output, of_one_thread))
+                else if (!app::same_bytes(output, of_one_thread))
                     return Error{ErrorKind::output, fmt::format("{}: {} threads wrote other bytes than one: expected the same", input, threads)};
             }
             // Here, lest the next run be charged with forgetting what this one wrote.

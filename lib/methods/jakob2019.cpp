@@ -15,6 +15,7 @@
 #include <cmath>
 #include <mutex>
 
+#include "methods/near_table.h"
 #include "methods/registry.h"
 #include "parallel.h"
 #include "spectex/coefficient_table.h"
@@ -283,27 +284,12 @@ bool Solver::newton_or_nearest(const Mirrored& m, const Vector3& start, Vector3&
 }
 
 Vector3 Solver::guess(const Vector3& q) const {
-    const std::size_t n = equations_.resolution, largest = static_cast<std::size_t>(std::max_element(q.begin(), q.end()) - q.begin());
-    const double z = q[largest], w = std::sqrt(z);
-    const auto last = static_cast<double>(n - 1);
-    using kernels::SigmoidEquations;
-    const std::array<double, 3> position{SigmoidEquations::ratio_position(q[(largest + 1) % 3] / z) * last,
-                                         SigmoidEquations::ratio_position(q[(largest + 2) % 3] / z) * last,
-                                         SigmoidEquations::root_position(w) * last};
-    std::array<std::size_t, 3> cell{};
-    std::array<double, 3> fraction{};
-    for (std::size_t k = 0; k < 3; ++k) {
-        const double p = std::clamp(position[k], 0.0, last);
-        cell[k] = std::min(static_cast<std::size_t>(p), n - 2);
-        fraction[k] = p - static_cast<double>(cell[k]);
-    }
+    const double z = *std::max_element(q.begin(), q.end()), w = std::sqrt(z);
+    const auto cell = near_table::cell_of(q, z, equations_.resolution);
     Vector3 c{};
     for (std::size_t corner = 0; corner < 8; ++corner) {
-        const std::size_t dx = corner & 1, dy = corner >> 1 & 1, dz = corner >> 2;
-        const double weight = (dx ? fraction[0] : 1 - fraction[0]) * (dy ? fraction[1] : 1 - fraction[1]) *
-                              (dz ? fraction[2] : 1 - fraction[2]);
-        const float* vertex = &equations_.table[4 * (((largest * n + cell[2] + dz) * n + cell[1] + dy) * n + cell[0] + dx)];
-        for (std::size_t i = 0; i < 3; ++i) c[i] += weight * static_cast<double>(vertex[i]) / w;
+        const float* vertex = &equations_.table[4 * cell.vertex[corner]];
+        for (std::size_t i = 0; i < 3; ++i) c[i] += cell.share[corner] * static_cast<double>(vertex[i]) / w;
     }
     return c;
 }
